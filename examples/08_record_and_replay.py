@@ -45,11 +45,11 @@ def main(address: str, path: Path) -> None:
             camera.start()
             with connect(address) as other:  # a recorder is another client, and does not slow the camera
                 watched = other.open_session(session.session_id)
-                count = recordings.record(watched, path, frames=FRAMES, on_start=begin.set)
+                recorded = recordings.record(watched, path, frames=FRAMES, on_start=begin.set)
             camera.join()
         recording = recordings.load(path)
         last = recording.results[-1]
-        print(f"{count} frames in {path.stat().st_size / 1e6:.1f} MB; the last reliability was {last.reliability:.2f}")
+        print(f"{recorded.frames} frames in {path.stat().st_size / 1e6:.1f} MB; the last reliability was {last.reliability:.2f}")
         differences = [np.abs(before.vertices - now.vertices).max() for before, now in recordings.replay(client, recording)]
         print(f"replayed {len(differences)} frames, largest difference of a coordinate: {max(differences):g} m")
 

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import threading
 import time
 
 import numpy as np
 import pytest
+from ddakf_api import codec
+from ddakf_api.arrays import pack_mesh
 from ddakf_api.errors import DeadlineExceeded, InvalidArgument, InvalidFrame, SessionNotFound
+from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame, connect, recordings
+from ddakf_client.recordings import recording
+from ddakf_client.recordings.read_ahead import read_ahead
 from mcap.reader import make_reader
 
 from ..service.conftest import TIMEOUT, make_sheet, running
@@ -181,7 +187,7 @@ def test_a_server_that_does_not_begin_in_the_time_of_the_recording_is_named(mesh
 
 def test_a_recording_ends_in_time_although_no_frame_comes(service, tmp_path):
     with connect(service.grpc) as client, client.create_session(*make_sheet()) as session:
-        assert recordings.record(session, tmp_path / "empty.mcap", seconds=0.2) == 0
+        assert recordings.record(session, tmp_path / "empty.mcap", seconds=0.2) == (0, 0)
     assert recordings.load(tmp_path / "empty.mcap").frames == []
 
 
@@ -191,3 +197,64 @@ def test_a_session_that_is_not_there_is_not_recorded(service, tmp_path):
         with pytest.raises(SessionNotFound):
             recordings.record(session, tmp_path / "none.mcap")
     assert not (tmp_path / "none.mcap").exists()
+
+
+def written(path, results: int) -> None:
+    """A recording of so many frames."""
+    garment = pack_mesh(*make_sheet())
+    with path.open("wb") as file, recording._Writer(file) as writer:
+        writer.write(recording.SESSION, pb.Session(garment=garment).SerializeToString(), 0.0)
+        for number in range(1, results + 1):
+            cloud = codec.encode(make_sheet().vertices).cloud
+            frame = pb.Frame(sequence_number=number, capture_time=number / 30, point_cloud=cloud)
+            result = pb.Result(sequence_number=number, capture_time=number / 30, frames_applied=number)
+            writer.write_pair(frame, result, recording._converted(result), True)
+
+
+def test_a_clock_that_is_set_back_leaves_the_frames_in_order(tmp_path, monkeypatch):
+    clock = iter([*range(100, 0, -1)])
+    monkeypatch.setattr(recording.time, "time_ns", lambda: 10**18 + 10**9 * next(clock))
+    written(tmp_path / "some.mcap", 6)
+    assert [frame.sequence_number for frame in recordings.load(tmp_path / "some.mcap").frames] == [1, 2, 3, 4, 5, 6]
+    with (tmp_path / "some.mcap").open("rb") as file:
+        times = [message.log_time for *_, message in make_reader(file).iter_messages(log_time_order=False)]
+    assert times == sorted(set(times))
+
+
+def test_frames_that_the_reader_missed_are_counted(tmp_path):
+    def pairs(numbers):
+        for number in numbers:
+            yield pb.Frame(sequence_number=number), pb.Result(sequence_number=number, frames_applied=number + 40)
+
+    with (tmp_path / "some.mcap").open("wb") as file, recording._Writer(file) as writer:
+        found = recording._write_frames(pairs([4, 5, 9, 10, 12]), writer, math.inf, math.inf, lambda result: None)
+    assert found == (5, 4)
+
+
+def test_reading_goes_on_while_frames_are_written():
+    read, passed = [], []
+
+    def source():
+        for number in range(40):
+            read.append(number)
+            yield number
+
+    for item, behind in read_ahead(source()):
+        if item == 0:
+            deadline = time.monotonic() + TIMEOUT
+            while len(read) < 40 and time.monotonic() < deadline:
+                time.sleep(0.01)
+        passed.append((item, behind))
+    assert [item for item, _ in passed] == list(range(40))
+    assert passed[1][1] >= 38  # all were read while the first was written
+
+
+def test_what_ends_the_reading_is_raised_behind_what_was_read():
+    def source():
+        yield 1
+        raise DeadlineExceeded("too late")
+
+    items = read_ahead(source())
+    assert next(items)[0] == 1
+    with pytest.raises(DeadlineExceeded):
+        next(items)

@@ -127,9 +127,9 @@ def test_a_recorded_session_is_replayed_to_the_bit(sessions, service, api, sessi
         finally:
             recorder.kill()
     assert (recorder.returncode, errors) == (0, "")
-    assert json.loads(output) == {"file": path, "frames": 3}
+    assert json.loads(output) == {"file": path, "frames": 3, "missing": 0}
     replayed = {"frames": 3, "same_state": 3, "largest_difference_mm": 0.0}
-    replayed |= {"short_of_time": 0, "frames_before": 3, "largest_difference_before_mm": 0.0}
+    replayed |= {"short_of_time": 0, "missing": 0, "frames_before": 3, "largest_difference_before_mm": 0.0}
     assert json.loads(sessions("replay", path, "--json")) == replayed
     assert cli.main(["replay", path, "--server", service.grpc]) == 0
     assert "largest difference" in capsys.readouterr().out

@@ -53,40 +53,48 @@ def record(client, arguments: argparse.Namespace) -> None:
             said = time.monotonic()
             print(result_line(result), flush=True)
 
-    count = _package().record(session, arguments.file, seconds=arguments.seconds, frames=arguments.frames, on_result=show)
+    recorded = _package().record(session, arguments.file, seconds=arguments.seconds, frames=arguments.frames, on_result=show)
     if arguments.json:
-        print_json({"file": arguments.file, "frames": count})
+        print_json({"file": arguments.file, "frames": recorded.frames, "missing": recorded.missing})
     else:
-        print(f"{arguments.file}: {count} frames")
+        missing = f", {recorded.missing} in between are missing: this reader fell behind" if recorded.missing else ""
+        print(f"{arguments.file}: {recorded.frames} frames{missing}")
 
 
 def replay(client, arguments: argparse.Namespace) -> None:
     """Tracks the recorded frames again, and prints how far the results are from the recorded ones.
 
-    A frame for which a server was short of time left work out: from there on the results may differ.
+    A frame for which a server was short of time left work out, and one that is missing moved the garment: from there on the
+    results may differ. So they may after a reset or a change of the session, which no recording has.
     """
     package = _package()
     try:
         recording = package.load(arguments.file)
     except OSError as error:
         raise InvalidArgument("file", "a recording", f"{arguments.file}: {error.strerror}") from None
-    count, in_full, short, states, largest, largest_in_full = 0, 0, 0, 0, 0.0, 0.0
+    count, in_full, short, missing, states, largest, largest_in_full, applied = 0, 0, 0, 0, 0, 0.0, 0.0, 0
     for before, now in package.replay(client, recording):
-        count += 1
+        missing += max(before.applied - applied - 1, 0) if count else 0
+        count, applied = count + 1, before.applied
         short += any(result.usage.widening != 1 or result.usage.lighter for result in (before, now))
         states += before.state == now.state
         if len(before.vertices) and before.vertices.shape == now.vertices.shape:
             largest = max(largest, float(abs(before.vertices - now.vertices).max()))
-        if not short:
+        if not short and not missing:
             in_full, largest_in_full = in_full + 1, largest
     values = {"frames": count, "same state": states, "largest difference mm": 1e3 * largest}
-    values |= {"short of time": short, "frames before": in_full, "largest difference before mm": 1e3 * largest_in_full}
+    values |= {"short of time": short, "missing": missing}
+    values |= {"frames before": in_full, "largest difference before mm": 1e3 * largest_in_full}
     if arguments.json:
         print_json({name.replace(" ", "_"): value for name, value in values.items()})
         return
     print_table(("figure", "value"), ((name, f"{value:g}") for name, value in values.items()))
     if short:
         print("Short of time: a server left work out of these frames; from the first of them on, results may differ.")
+    if missing:
+        print("Missing: the session tracked these frames, and they are not in the file; from there on, results differ.")
+    if largest_in_full > 0:
+        print("Differences before: the session was reset or changed meanwhile, or the server has another version or processor.")
 
 
 def _package():

@@ -247,8 +247,12 @@ class Lifecycle:
             return False
         self._failures.works()
         self._catalog.loaded = True
+        live = {session.id: session.uid for session in self._catalog}
         for session in sessions:
-            if session.id not in self._catalog and session.id not in self._opening:
+            if session.id in live:
+                if session.uid != live[session.id]:
+                    self._persistence.end(session, _replaced(session.id))
+            elif session.id not in self._opening:
                 self._catalog.add(session)
                 if session.request_id:
                     self._remember((session.owner, session.request_id), _completed(session.id))
@@ -301,6 +305,11 @@ class Lifecycle:
 
 def _exists(session_id: str) -> SessionExists:
     return SessionExists(f"sessions/{session_id} exists already")
+
+
+def _replaced(session_id: str) -> SessionExists:
+    """The reason for the end of a stored session whose id was given again before the database could be read."""
+    return SessionExists(f"sessions/{session_id} was created anew while its server could not reach the database")
 
 
 def _being_created() -> Unavailable:

@@ -7,7 +7,7 @@ import re
 import time
 
 from ddakf_api.arrays import unpack_mesh
-from ddakf_api.errors import InvalidArgument, InvalidMesh, NotFound, ResourceExhausted
+from ddakf_api.errors import InvalidArgument, InvalidMesh, NotFound, ResourceExhausted, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
 
@@ -16,6 +16,8 @@ from ..settings import Settings
 from ..store.meshes import ID_DIGITS, MeshContent, MeshRecord, MeshStore, mesh_of
 from .page_token import Position, page_size, page_token, position_after
 
+_MOST_WAITING = 8  # uploads that are being stored: a store that does not answer keeps their content in memory
+_RETRY_AFTER = 5.0  # seconds
 _NAME = re.compile(rf"meshes/([0-9a-f]{{{ID_DIGITS}}})")
 
 
@@ -32,9 +34,11 @@ class Meshes:
 
         Raises:
             InvalidMesh: larger than any garment or body may be, or no mesh. ResourceExhausted: beyond a quota of the key.
-            Unavailable: the store cannot be reached.
+            Unavailable: the store cannot be reached, or many uploads wait for it.
         """
         require_compatible(request.api_version, peer="client")
+        if len(self._tasks) >= _MOST_WAITING:
+            raise Unavailable("meshes: other uploads wait for the store, try again later", retry_after=_RETRY_AFTER)
         content, owner = await asyncio.to_thread(self._content, request), current_principal.get().id
         storing = asyncio.create_task(self._stored(content, owner))
         self._tasks.add(storing)

@@ -183,9 +183,13 @@ class Session:
         count.warning.CopyFrom(warning)
         count.frames += 1
 
-    def record_answer(self, response: Response) -> None:
-        """Records the answer to a frame of a lossless stream, for a client that loses its connection before the answer."""
-        self.answers.add(response, self.limits.max_frames_in_flight)
+    def record_answer(self, response: Response, most: int) -> None:
+        """Records the answer to a frame of a lossless stream, for a client that loses its connection before the answer.
+
+        Args:
+            most: frames that the client may have unanswered, as its stream was told; a change of the limits holds from the next.
+        """
+        self.answers.add(response, most)
 
     def record_recovery(self, checkpoint: pb.SessionStatistics) -> int:
         """Records that the tracker was restored from a checkpoint. Returns the number of applied frames that were lost."""

@@ -69,7 +69,8 @@ class Stream:
         self._every_nth = max(start.result_options.every_nth, 1)
         self._mode, self._reader_timeout = mode, reader_timeout
         self._max_image_pixels, self._max_body_vertices = max_image_pixels, max_body_vertices
-        self._mailbox = mailbox_for(mode, session.limits.max_frames_in_flight)
+        self._most_in_flight = session.limits.max_frames_in_flight
+        self._mailbox = mailbox_for(mode, self._most_in_flight)
         self._outbox = Outbox(session.watchers.publish)
         self._repeated = self._answers_to_repeat(start)
         self._rate_limit, self._overload, self._arrivals = rate_limit, Overload(), ArrivalRate()
@@ -311,7 +312,7 @@ class Stream:
     def _recorded(self, response: Response) -> Response:
         """The same response, recorded for the client of a lossless stream that may come back without it."""
         if self._mode == pb.FLOW_MODE_LOSSLESS:
-            self.session.record_answer(response)
+            self.session.record_answer(response, self._most_in_flight)
         return response
 
     async def _tracked(self, queued: QueuedFrame, started: float) -> Response:

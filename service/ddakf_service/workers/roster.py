@@ -17,6 +17,7 @@ log = logging.getLogger(__name__)
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 10.0  # seconds between attempts to replace a worker that dies before it is ready
 _LOOK_INTERVAL = 1.0  # seconds between checks for workers to recycle
+_GROWTH = 1.25  # of a worker's memory since it took sessions over: another one would need as much for them
 
 # Moves a session, by its id, from one worker to another; after a failure it stays where it was.
 Move = Callable[[str, Worker, Worker], Awaitable[None]]
@@ -191,7 +192,8 @@ class Roster:
             for spare in [worker for worker in self._spares if worker.leaving()]:
                 await self._replace_spare(spare)
             for worker in list(self.accepting):
-                used_up = worker.frames >= self._recycle_frames or worker.resident_bytes() >= self._recycle_memory
+                most = max(self._recycle_memory, _GROWTH * worker.bytes_at_start)
+                used_up = worker.frames >= self._recycle_frames or worker.resident_bytes() >= most
                 due = used_up or worker.leaving()
                 if due and self._spares and worker in self.accepting:
                     await self._recycle(worker)
@@ -224,6 +226,7 @@ class Roster:
             self.accepting.append(worker)
         else:
             self._recycled += 1
+            successor.bytes_at_start = successor.resident_bytes()
             worker.exit_watcher.cancel()
             await worker.end()
         self._on_change()

@@ -72,6 +72,7 @@ class Worker:
         self.frame_slots, self.heavy_slots = asyncio.Semaphore(_FRAMES_IN_PIPE), asyncio.Semaphore(1)
         self.placement_lock = asyncio.Lock()
         self.frames, self.shares = 0, FairShares()
+        self.bytes_at_start = 0  # resident, with the sessions of the worker that it replaced
         self.gone = asyncio.Event()
         self._reader, self._writer = reader, writer
         self._numbers = itertools.count(1)

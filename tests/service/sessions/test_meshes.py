@@ -224,6 +224,24 @@ async def test_an_upload_whose_caller_leaves_has_a_row_if_it_has_a_content(small
     assert len(listed) == len(list(folder.rglob("*.mesh")))
 
 
+async def test_uploads_into_a_store_that_does_not_answer_are_bounded(small_store, monkeypatch):
+    meshes, _ = small_store
+    answers = asyncio.Event()
+
+    async def waits(record, data):
+        await answers.wait()
+
+    monkeypatch.setattr(meshes._store, "add", waits)
+    for size in range(8):
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(meshes.create(create_mesh(pack_mesh(*make_sheet(4 + size)))), 0.05)
+    with pytest.raises(Unavailable, match="other uploads wait for the store, try again later"):
+        await meshes.create(create_mesh(pack_mesh(*make_sheet(20))))
+    answers.set()
+    await asyncio.gather(*meshes._tasks)
+    await meshes.create(create_mesh(pack_mesh(*make_sheet(20))))
+
+
 async def test_an_upload_that_finds_no_database_leaves_no_content(small_store, sheet, monkeypatch):
     meshes, folder = small_store
     read, calls = meshes._store._database.read, []

@@ -21,11 +21,12 @@ from ddakf_api.errors import (
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.observability.metrics import Metrics
 from ddakf_service.observability.tracing import NoTracer
-from ddakf_service.sessions import service
+from ddakf_service.sessions import lifecycle, service
 from ddakf_service.sessions.recovery.tenure import Tenure
 from ddakf_service.sessions.sharing.handover import Handover
 from ddakf_service.settings import Settings
 from ddakf_service.store.store import Store
+from ddakf_service.streaming.frame_message import FrameMessage
 from ddakf_service.streaming.frame_recorder import FrameRecorder
 from ddakf_service.streaming.streams import Streams
 from ddakf_service.transports.rest.routes import create_app
@@ -207,6 +208,50 @@ async def test_before_the_register_is_read_nobody_is_told_that_a_session_does_no
     server._catalog.loaded = False
     with pytest.raises(Unavailable, match="not known before the database can be read"):
         await streams.open(pb.Start(name="sessions/earlier", api_version=API_VERSION))
+
+
+async def test_a_session_that_is_created_while_the_database_is_away_replaces_the_stored_one(server, pool, store, monkeypatch):
+    await server._persistence.written(server._catalog.readable("sessions/some").uid)
+    monkeypatch.setattr(lifecycle, "LOAD_RETRY_INTERVAL", 0.01)
+    after = service.Sessions(pool, Settings(data_dir="none"), Metrics(), store)
+    stored, back = after._persistence.live_sessions, asyncio.Event()
+
+    async def live_sessions():
+        if not back.is_set():
+            raise Unavailable("no database")
+        return await stored()
+
+    monkeypatch.setattr(after._persistence, "live_sessions", live_sessions)
+    await after.load()
+    await create(after)
+    back.set()
+    while not after._catalog.loaded:
+        await asyncio.sleep(0.01)
+    uid = after._catalog.readable("sessions/some").uid
+    async with asyncio.timeout(10):
+        while [session.uid for session in await stored()] != [uid]:
+            await asyncio.sleep(0.01)
+
+
+async def test_answers_are_kept_for_as_many_frames_as_the_stream_was_told(server, streams):
+    stream = await streams.open(pb.Start(name="sessions/some", api_version=API_VERSION, flow_mode=pb.FLOW_MODE_LOSSLESS))
+    session = server._catalog.readable("sessions/some")
+    most = session.limits.max_frames_in_flight
+    await server.update(pb.UpdateSessionRequest(session=pb.Session(name="sessions/some", limits={"max_frames_in_flight": 1})))
+    for number in range(1, most + 1):
+        await stream.receive(FrameMessage.of(pb.Frame(sequence_number=number, deadline=-1.0)))  # refused
+    delivered = []
+
+    async def deliver(response):
+        delivered.append(response)
+
+    delivering = asyncio.create_task(stream.deliver(deliver))
+    async with asyncio.timeout(10):
+        while len(delivered) < 1 + most:  # Started first
+            await asyncio.sleep(0.01)
+    assert len(session.answers.serialised()) == most > 1
+    await streams.leave(stream)
+    delivering.cancel()
 
 
 async def test_every_call_gives_the_reason_of_a_session_that_ended_before_a_restart(server, pool, store):

@@ -249,6 +249,18 @@ async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet
 
 
 @pytest.mark.slow
+async def test_a_worker_whose_sessions_need_the_memory_is_recycled_once(sheet):
+    """Its successor needs as much for them."""
+    pool = local(1, spares=1, recycle_memory=1)
+    async with running(pool):
+        await pool.open("one", creation(sheet))
+        await until(lambda: pool.health().recycled == 1 and pool.health().spares == 1)
+        await asyncio.sleep(2.5)  # looks
+        assert pool.health().recycled == 1
+        await track(pool, "one", frame_of(sheet, 1))
+
+
+@pytest.mark.slow
 async def test_a_spare_takes_the_place_of_a_lost_worker_at_once(implementation, sheet):
     lost = []
     pool = implementation(1, spares=1, on_lost=lambda ids: lost.append((ids, pool.health().ready)))

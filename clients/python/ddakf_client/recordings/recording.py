@@ -8,7 +8,10 @@
 | `/numbers` | `ddakf.Numbers` | reliability, score, coverage, counters, seconds per stage |
 
 The attachment ``snapshot`` holds the tracker's state before the first frame: a replay continues from it and gives the same
-results to the bit. A key that may only read gets none; its replay starts from the first result that has arrays.
+results to the bit, until a frame that is missing, or a reset or a change of the session, which no recording has. A key that may
+only read gets no snapshot; its replay starts from the first result that has arrays.
+
+All frames and results come first: while more than a few wait to be written, ``/cloud`` and ``/garment`` are left out.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
+from typing import NamedTuple
 
 import grpc
 import numpy as np
@@ -40,6 +44,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from ddakf_client.calls import failure
 from ddakf_client.client import Client, Session
 from ddakf_client.recordings import foxglove
+from ddakf_client.recordings.read_ahead import read_ahead
 from ddakf_client.results import Result, frame_error_from, result_from
 
 SESSION, FRAME, RESULT, CLOUD, GARMENT, NUMBERS = "/session", "/frame", "/result", "/cloud", "/garment", "/numbers"
@@ -52,6 +57,19 @@ _SCHEMAS = {
 }
 _NANOSECONDS = 1e9
 _NO_LIMIT = float("inf")
+_BEHIND = 32  # frames that wait: with more, those for Foxglove are left out
+
+
+class Recorded(NamedTuple):
+    """What is in a recording.
+
+    Attributes:
+        frames: with their results.
+        missing: frames in between that the session tracked, and that this reader came too late for.
+    """
+
+    frames: int
+    missing: int
 
 
 def record(
@@ -62,8 +80,8 @@ def record(
     frames: float = _NO_LIMIT,
     on_start: Callable[[], None] = lambda: None,
     on_result: Callable[[Result], None] = lambda result: None,
-) -> int:
-    """Records what a session's client sends and gets from now on, without slowing it. Returns the number of frames.
+) -> Recorded:
+    """Records what a session's client sends and gets from now on, without slowing it.
 
     The recording ends after ``seconds`` or ``frames``, with the session, or with KeyboardInterrupt.
 
@@ -90,9 +108,9 @@ def record(
     try:
         next(call)  # Started: answers from now on are queued
         with open(path, "wb") as file, _Writer(file) as writer:
-            after = _write_beginning(client, session.name, writer)
+            before = _write_beginning(client, session.name, writer)
             on_start()
-            return _write_frames(_pairs(call, after), writer, end, frames, on_result)
+            return _write_frames(_pairs(call, before.last_sequence_number), writer, end, frames, on_result)
     except grpc.RpcError as error:
         failed = failure(error, client.target, _NO_LIMIT)
         if type(failed) is Cancelled and time.monotonic() >= end:  # by the timer
@@ -103,8 +121,8 @@ def record(
         call.cancel()
 
 
-def _write_beginning(client: Client, name: str, writer: _Writer) -> int:
-    """Writes the session with its meshes, and its state if the key may read it. Returns the last frame of that state; 0: none."""
+def _write_beginning(client: Client, name: str, writer: _Writer) -> pb.SessionStatistics:
+    """Writes the session with its meshes, and its state if the key may read it. Returns its statistics in that state, or none."""
     try:
         state = client.call("SnapshotSession", pb.SnapshotSessionRequest(name=name))
     except PermissionDenied:
@@ -113,9 +131,9 @@ def _write_beginning(client: Client, name: str, writer: _Writer) -> int:
     if state is not None:
         whole.statistics.CopyFrom(state.session.statistics)
         writer.attach(SNAPSHOT, state.data)
-    writer.faces = np.frombuffer(whole.garment.faces.data, "<u4").reshape(-1, 3)
+    writer.indices = foxglove.indices(np.frombuffer(whole.garment.faces.data, "<u4"))
     writer.write(SESSION, whole.SerializeToString(), whole.statistics.last_capture_time)
-    return 0 if state is None else state.session.statistics.last_sequence_number
+    return pb.SessionStatistics() if state is None else state.session.statistics
 
 
 def _pairs(call: grpc.Call, after: int) -> Iterator[tuple[pb.Frame, pb.Result] | None]:
@@ -137,15 +155,16 @@ def _write_frames(
     end: float,
     most: float,
     on_result: Callable[[Result], None],
-) -> int:
-    """Writes frames with their results until an end is reached; returns their number."""
-    count = 0
+) -> Recorded:
+    """Writes frames with their results until an end is reached."""
+    count, missing, applied = 0, 0, 0
     try:
-        for pair in pairs:
+        for pair, behind in read_ahead(pairs):
             if pair is not None:
                 result = _converted(pair[1])
-                writer.write_pair(*pair, result)
-                count += 1
+                writer.write_pair(*pair, result, with_pictures=behind <= _BEHIND)
+                missing += max(result.applied - applied - 1, 0) if count else 0
+                count, applied = count + 1, result.applied
                 on_result(result)
             if count >= most or time.monotonic() > end:
                 break
@@ -154,7 +173,7 @@ def _write_frames(
     except grpc.RpcError as error:
         if time.monotonic() < end and not (count and isinstance(from_rpc_error(error), SessionNotFound)):
             raise  # otherwise the time is over, or the session has ended and the recording with it
-    return count
+    return Recorded(count, missing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +202,8 @@ def load(path: str | PathLike) -> Recording:
     with open(path, "rb") as file:
         try:
             reader = reading.make_reader(file)
-            messages = [(channel.topic, message.data) for _, channel, message in reader.iter_messages(list(_MESSAGES))]
+            in_order = reader.iter_messages(list(_MESSAGES), log_time_order=False)
+            messages = [(channel.topic, message.data) for _, channel, message in in_order]
             attachments = {each.name: each.data for each in reader.iter_attachments()}
             read = {topic: [kind.FromString(data) for at, data in messages if at == topic] for topic, kind in _MESSAGES.items()}
         except Exception as error:  # errors of mcap, struct, a compression, protobuf: any damage of the file
@@ -271,7 +291,7 @@ class _Writer:
 
     def __init__(self, file):
         self._writer = _mcap("writer").Writer(file)
-        self.faces = np.empty((0, 3), np.uint32)
+        self.indices, self._now = "[]", 0
 
     def __enter__(self) -> _Writer:
         self._writer.start(profile="", library="ddakf")
@@ -290,21 +310,20 @@ class _Writer:
 
     def write(self, topic: str, data: bytes, capture_time: float, sequence: int = 0) -> None:
         published = max(0, int(capture_time * _NANOSECONDS))
-        self._writer.add_message(self._channels[topic], time.time_ns(), data, published, sequence & 0xFFFFFFFF)
+        self._now = max(self._now + 1, time.time_ns())  # readers go by it, and a clock may be set back
+        self._writer.add_message(self._channels[topic], self._now, data, published, sequence & 0xFFFFFFFF)
 
-    def write_pair(self, frame: pb.Frame, message: pb.Result, result: Result) -> None:
-        """A frame, its result, and both for Foxglove."""
+    def write_pair(self, frame: pb.Frame, message: pb.Result, result: Result, with_pictures: bool) -> None:
+        """A frame, its result, and both for Foxglove: numbers, and cloud and garment ``with_pictures``."""
         now, number = frame.capture_time, frame.sequence_number
         self.write(FRAME, frame.SerializeToString(), now, number)
         self.write(RESULT, message.SerializeToString(), now, number)
-        documents = {
-            CLOUD: foxglove.point_cloud(frame),
-            GARMENT: foxglove.garment(result, self.faces),
-            NUMBERS: foxglove.numbers(result),
-        }
+        documents = {NUMBERS: foxglove.numbers(result)}
+        if with_pictures:
+            documents |= {CLOUD: foxglove.point_cloud(frame), GARMENT: foxglove.garment(result, self.indices)}
         for topic, document in documents.items():
             if document is not None:
-                self.write(topic, json.dumps(document).encode(), now, number)
+                self.write(topic, document.encode(), now, number)
 
     def _message_channel(self, topic: str, kind) -> int:
         schema = _descriptor_set(kind.DESCRIPTOR.file).SerializeToString()

@@ -8,7 +8,7 @@ import socket
 import struct
 from typing import NamedTuple
 
-_HEADER = struct.Struct("<BIHQ")  # kind, request number, bytes of the session id, bytes of the content
+_HEADER = struct.Struct("<BQHQ")  # kind, request number, bytes of the session id, bytes of the content
 _FRAME = struct.Struct("<Id?I")  # points that the frame may have, its grant, bytes of the options
 _RESULT = struct.Struct("<Idddd??")  # bytes of the numbers, what the frame took
 _ERROR = struct.Struct("<dd")  # processor and busy seconds, as in Spent

@@ -17,6 +17,13 @@ def ends() -> Iterator[tuple[socket.socket, BlockingChannel]]:
         yield server, BlockingChannel(worker)
 
 
+@pytest.mark.parametrize("number", [1, 2**32 - 1, 2**32, 2**63])
+def test_requests_are_numbered_for_as_long_as_a_worker_lives(ends, number):
+    server, channel = ends
+    server.sendall(Message(Kind.CLOSE, number, "s-1").head())
+    assert channel.receive().number == number
+
+
 def test_receives_what_was_sent_before_the_server_closed(ends):
     server, channel = ends
     server.sendall(Message(Kind.CLOSE, 7, "s-1").head())
