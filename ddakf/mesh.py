@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ddakf.errors import InvalidMesh
 
 MAX_COORDINATE = 1e4  # m: what is farther away is in another unit
+ALIKE = 0.01  # mean edges: ends of open edges that are nearer are at one place, as files round coordinates
 MIN_FACE_AREA = 1e-12  # m^2: a triangle below a square micrometre has no usable normal
 
 
@@ -61,7 +65,7 @@ class Mesh:
         """
         vertices, faces = _checked_arrays(vertices, faces)
         first = _first_alike(vertices)
-        faces = first[faces] if _apart(first) else _seamless(faces, first)
+        faces = first[faces] if _apart(first) else _seamless(faces, _first_beside(vertices, faces))
         faces = faces[~_degenerate(vertices, faces)]
         faces = faces[~_repeated(faces, len(vertices))]
         faces = _without_surplus_faces(vertices, faces)
@@ -97,7 +101,7 @@ class Mesh:
     @cached_property
     def split_edges(self) -> int:
         """Number of open edges at the place of another, as a file has that splits vertices along the seams of a texture."""
-        return int(np.count_nonzero(_seams(self.faces, _first_alike(self.vertices))[1]))
+        return int(np.count_nonzero(_seams(self.faces, _first_beside(self.vertices, self.faces))[1]))
 
     @cached_property
     def size(self) -> float:
@@ -182,6 +186,27 @@ def _first_alike(vertices: np.ndarray) -> np.ndarray:
     first = np.empty(len(vertices), np.int64)
     first[order] = order[new][np.cumsum(new) - 1]
     return first
+
+
+def _first_beside(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V,) the first vertex at the place of each; of the ends of open edges, the first within ``ALIKE``, and those near that.
+
+    Points that are nearer than half a cell share it in one of eight grids.
+    """
+    n, first = len(vertices), _first_alike(vertices)
+    edges, count = _edges(faces, n)
+    ends = np.unique(edges[count == 1])
+    if len(ends) == 0:
+        return first
+    length = float(np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1).mean())
+    row, column = [np.arange(n)], [first]
+    for shift in itertools.product((0.0, 0.5), repeat=3):
+        row.append(ends)
+        column.append(ends[_first_alike(np.floor(vertices[ends] / (2.0 * ALIKE * length) + shift))])
+    row, column = np.concatenate(row), np.concatenate(column)
+    _, group = connected_components(coo_array((np.ones(len(row)), (row, column)), shape=(n, n)), directed=False)
+    _, least = np.unique(group, return_index=True)
+    return least[group]
 
 
 def _apart(first: np.ndarray) -> int:

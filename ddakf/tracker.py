@@ -26,7 +26,20 @@ from ddakf.results import FrameResult, Usage
 from ddakf.search import relocalize
 from ddakf.stages import adapt, associate, frame_input, fuse, predict, preprocess, reliability, robust, uncertainty
 from ddakf.transfer import Discretised, reconfigured, transferred
-from ddakf.types import Drift, Estimate, Evidence, FrameInput, Health, Posterior, Problem, Setup, State, Track, variances
+from ddakf.types import (
+    BodyTrack,
+    Drift,
+    Estimate,
+    Evidence,
+    FrameInput,
+    Health,
+    Posterior,
+    Problem,
+    Setup,
+    State,
+    Track,
+    variances,
+)
 
 
 class Tracker:
@@ -78,7 +91,7 @@ class Tracker:
         return self._track.time
 
     def reset(self, vertices=None, *, velocities=None) -> None:
-        """Starts again from these vertices; the body is in its first pose.
+        """Starts again from these vertices; the body is in its first pose, or in its last one if they fit that better.
 
         Args:
             vertices: (V, 3) metres, the template's if None. They become the rest shape: all of their folds, and a share of their
@@ -92,7 +105,8 @@ class Tracker:
         position = self.garment.vertices.copy() if vertices is None else frame_input.positions("vertices", vertices, n)
         velocity = np.zeros((n, 3)) if velocities is None else frame_input.positions("velocities", velocities, n)
         units.require_start(self.garment, position, velocity)
-        track = _start(self._setup, self._working.sampled(position), self._working.sampled(velocity))
+        known = None if vertices is None else self._track.body
+        track = _start(self._setup, self._working.sampled(position), self._working.sampled(velocity), known)
         if vertices is not None:
             resting = rigidity.resting(track.state.position, self._setup)
             track = track._replace(resting=resting, size=resting.size)
@@ -272,12 +286,12 @@ def _shaping(config: Config) -> tuple:
     return config.physics, config.anchor, config.start.up, config.colour.texel
 
 
-def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray) -> Track:
-    """The track before the first frame, of vertices at (V, 3) ``position``, metres."""
+def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray, known: BodyTrack | None = None) -> Track:
+    """The track before the first frame, of vertices at (V, 3) ``position``, metres, on a body that may be in a known pose."""
     garment, body, config = setup.model, setup.body, setup.config
     start, under, anchor = config.start, None, None
     if body is not None:
-        under = contact.start(body, position, config.physics)
+        under = contact.start(body, position, config.physics, known)
         if body_anchor.enabled(config):
             anchor = body_anchor.start(setup, under.vertices, position)
     return Track(

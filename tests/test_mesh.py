@@ -239,7 +239,15 @@ def test_seams_of_a_texture_are_counted_and_joined():
     np.testing.assert_array_equal(kept, np.arange(whole.n_vertices))
 
 
-def test_edges_that_are_a_little_apart_stay():
-    sheet = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1.0 + 1e-6, 0, 0], [1, 1, 0], [0, 1, 1e-6]], [[0, 1, 2], [3, 4, 5]])
-    assert sheet.split_edges == 0
-    assert Mesh.cleaned(sheet.vertices, sheet.faces)[0].n_vertices == 6
+@pytest.mark.parametrize(("apart", "joined"), [(1e-6, True), (0.005, True), (0.03, False)])
+def test_edges_are_joined_that_are_no_farther_apart_than_files_round(apart, joined):
+    sheet = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1.0 + apart, 0, 0], [1, 1, 0], [0, 1, apart]], [[0, 1, 2], [3, 4, 5]])
+    assert sheet.split_edges == (2 if joined else 0)
+    assert Mesh.cleaned(sheet.vertices, sheet.faces)[0].n_vertices == (4 if joined else 6)
+
+
+def test_vertices_that_are_near_off_the_open_edges_stay():
+    """As those of a fold."""
+    flat = tube()
+    pressed = flat.vertices * [1.0, 1.0, 1e-6]
+    assert Mesh.cleaned(pressed, flat.faces)[0].n_vertices >= np.count_nonzero(~flat.boundary_vertices)

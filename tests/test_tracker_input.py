@@ -143,13 +143,27 @@ def test_what_is_no_configuration_is_refused(config):
 @pytest.mark.parametrize("config", [Config(), ACCELERATED], ids=["default", "accelerated"])
 def test_a_reset_starts_again_as_a_new_tracker_does(config):
     used, new = tracked(5, body=BODY, config=config), Tracker(TUBE, body=BODY, config=config)
-    used.step(cloud(5), timestamp=5 / FPS, body_vertices=BODY.vertices + 0.02)
+    used.step(cloud(5), timestamp=5 / FPS, body_vertices=BODY.vertices + 0.2)
     moved, velocity = TUBE.vertices + 0.01, np.full(TUBE.vertices.shape, 0.1)
     for tracker in (used, new):
         tracker.reset(moved, velocities=velocity)
     for k in range(3):
         how = {"timestamp": k / FPS, "body_vertices": BODY.vertices}
         assert_same(used.step(cloud(k), **how), new.step(cloud(k), **how))
+
+
+@pytest.mark.parametrize("away", [[0.0, 0.0, 0.0], [0.03, 0.0, 0.02], [2.0, 0.0, 0.0]])
+def test_a_reset_in_between_finds_the_body_where_the_garment_is(away):
+    """In its last pose, or, as where a recording begins again, in its first one."""
+    tracker = Tracker(TUBE, body=BODY)
+    tracker.reset(TUBE.vertices)
+    for k in range(1, 4):
+        shift = np.array(away) * k / 3
+        points = (cloud(0) + shift).astype(np.float32)
+        tracker.step(points, timestamp=k / FPS, sensor_origin=EYE + shift, body_vertices=BODY.vertices + shift)
+    for place in (np.array(away), np.zeros(3)):
+        tracker.reset(TUBE.vertices + place)
+        np.testing.assert_allclose(tracker._track.body.vertices, BODY.vertices + place, atol=1e-12)
 
 
 # Any finite input ---------------------------------------------------------------------------------------------------

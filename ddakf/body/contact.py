@@ -31,8 +31,10 @@ def build(
     return BodyModel(mesh, tree, reach if reach > 0.0 else collision_reach, reach > 0.0)
 
 
-def start(body: BodyModel, position: np.ndarray, config: Physics) -> BodyTrack:
+def start(body: BodyModel, position: np.ndarray, config: Physics, known: BodyTrack | None = None) -> BodyTrack:
     """The body in the pose of the start, under a garment at (V, 3) ``position``, metres.
+
+    That is the pose in which it was created, or the ``known`` one if the garment lies better around that.
 
     Vertices that start closer than the thickness may stay as close. A body model is wrong by centimetres in places, and a
     garment reconstructed beside it lies inside it there, the same vertices all the time. Pushed out by the thickness, the unseen
@@ -40,7 +42,16 @@ def start(body: BodyModel, position: np.ndarray, config: Physics) -> BodyTrack:
     pulls them.
     """
     track = BodyTrack(body.mesh.vertices.copy(), True, None, None, None)
+    if known is not None:
+        last = track._replace(vertices=known.vertices.copy())
+        track = min(track, last, key=lambda pose: _off(posed(body, pose), position))
     return track._replace(gap=_first_gap(posed(body, track), position, config)) if config.gap_time > 0 else track
+
+
+def _off(pose: BodyPose, position: np.ndarray) -> float:
+    """How badly a garment lies around a pose, m^2: by how deep it is within it, and to a hundredth by how far from it."""
+    distance = np.minimum(nearest(pose, position).closest.distance, pose.model.reach)
+    return float(np.square(np.where(distance < 0.0, distance, 0.1 * distance)).mean())
 
 
 def configured(body: BodyModel, track: BodyTrack, position: np.ndarray, config: Physics) -> BodyTrack:

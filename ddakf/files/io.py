@@ -220,25 +220,34 @@ def _obj_index(word: str, vertices_so_far: int) -> int:
 
 
 def _read_columns(path: Path) -> np.ndarray:
-    """First three columns of a text file, separated by blanks and by commas or semicolons; `#` begins a comment.
+    """Three columns of a text file, separated by blanks and by commas or semicolons; `#` begins a comment.
 
-    The first line may have the number of points or the names of the columns instead.
+    The first line may have the number of points or the names of the columns instead. They are those named x, y and z, else the
+    first three. A first column without a name, as of an index, may be there too.
     """
-    rows, has_title = [], False
+    rows, has_title, titles = [], False, []
     for number, line in enumerate(text_of(path.read_bytes()).split("\n"), start=1):
         separators = r"[\s;]+" if ";" in line else r"[\s,]+"  # beside semicolons a comma is that of a decimal
         words = re.split(separators, line.split("#", 1)[0].strip(" \t,;"))
         if words == [""]:
             continue
         try:
-            x, y, z = map(float, words[:3])
+            x, y, z = map(float, _coordinates(words, titles))
         except ValueError:
             if not rows and not has_title and (words[0].isdigit() if len(words) == 1 else not any(map(_is_number, words))):
-                has_title = True
+                has_title, titles = True, [word.strip("\"'").lower() for word in words]
                 continue
             raise InvalidFile(f"{path.name}: line {number}", "three numbers with decimal points", quoted(line)) from None
         rows.append((x, y, z))
     return np.array(rows, np.float64).reshape(-1, 3)
+
+
+def _coordinates(words: list[str], titles: list[str]) -> list[str]:
+    """The three words of a line that are coordinates, by the names of the columns if there are any."""
+    if not {"x", "y", "z"} <= set(titles):
+        return words[:3]
+    unnamed = len(words) - len(titles) == 1
+    return [words[titles.index(axis) + unnamed] for axis in "xyz"] if len(words) >= len(titles) else words[:0]
 
 
 def _is_number(word: str) -> bool:

@@ -7,14 +7,16 @@ import numpy as np
 from ddakf.garment import geodesic
 from ddakf.mesh import Mesh
 
-LEAST = 8  # vertices around an opening
-BESIDE = 0.9  # share of them that are near another part
+LEAST = 8  # vertices around an opening, or of a seam
+BESIDE = 0.9  # share of an opening that is near another part
+CLOSE = 0.25  # mean edges: vertices that are nearer to another part are at a seam, whatever their share of the opening
 
 
 def gap(mesh: Mesh) -> float:
     """Metres between an opening of one piece and the boundaries of other pieces, if they run beside each other; else 0.
 
-    Nearly all of the opening has to be within a mean edge of them, and the mean distance counts.
+    Nearly all of the opening has to be within a mean edge of them, or a part of it very near, as the side of a panel. The mean
+    distance counts.
     """
     boundary = np.flatnonzero(mesh.boundary_vertices)
     piece = geodesic.pieces(mesh.edges, mesh.n_vertices)[boundary]
@@ -26,8 +28,10 @@ def gap(mesh: Mesh) -> float:
         others = place[~mine]
         near[mine] = np.linalg.norm(place[mine] - others[geodesic.nearest_points(others, place[mine])], axis=1)
     size, beside = np.bincount(opening), np.bincount(opening, near < mesh.edge_length)
-    apart = (size >= LEAST) & (beside >= BESIDE * size)
-    return float(near[apart[opening]].mean()) if apart.any() else 0.0
+    apart = ((size >= LEAST) & (beside >= BESIDE * size))[opening]
+    close = near < CLOSE * mesh.edge_length
+    apart |= close & (np.bincount(piece, close)[piece] >= LEAST)
+    return float(near[apart].mean()) if apart.any() else 0.0
 
 
 def _openings(mesh: Mesh) -> np.ndarray:

@@ -21,6 +21,7 @@ from ddakf.types import variances
 
 SHORTEST = 1e-6  # m: the square of less may be 0
 SLIVER = 0.01  # mean edges; a template with a shorter edge is not even: its forces would be too stiff
+LONGEST = 2.4  # longest edges over heights; a template whose median triangle is longer is not even
 SMALL = 0.05  # share of the surface below which a piece is carried along
 ALL_SMALL = 0.25  # share of all small pieces from which on they are the garment
 
@@ -120,13 +121,21 @@ def working_edge(template: Mesh, config: Discretisation) -> float:
 def unevenness(mesh: Mesh) -> float:
     """Standard deviation of the logarithms of the areas of the vertices off the boundary; 0 where there are none.
 
-    Infinite where an edge is shorter than ``SLIVER`` mean ones.
+    Infinite where an edge is shorter than ``SLIVER`` mean ones, or the triangles are longer than ``LONGEST`` times their height
+    in the median: along their short edges cloth would slide.
     """
     ends = mesh.vertices[mesh.edges]
-    if np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).min() < SLIVER * mesh.edge_length:
+    if np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).min() < SLIVER * mesh.edge_length or elongation(mesh) > LONGEST:
         return math.inf
     area = np.bincount(mesh.faces.ravel(), np.repeat(remeshing.areas(mesh), 3), mesh.n_vertices)[~mesh.boundary_vertices]
     return float(np.log(area).std()) if len(area) else 0.0
+
+
+def elongation(mesh: Mesh) -> float:
+    """Median over the triangles of the longest edge over the height on it; 1.15 where they are equilateral."""
+    corners = mesh.vertices[mesh.faces]
+    longest2 = np.square(corners - np.roll(corners, 1, axis=1)).sum(axis=2).max(axis=1)
+    return float(np.median(longest2 / np.maximum(2.0 * remeshing.areas(mesh), SHORTEST**2)))
 
 
 def interpolated(values: np.ndarray, corner: np.ndarray, share: np.ndarray) -> np.ndarray:

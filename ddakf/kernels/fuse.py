@@ -12,6 +12,8 @@ from numba import njit
 from ddakf.kernels import FAST
 from ddakf.kernels.symmetric import invert3
 
+MOST_GAIN = 60.0  # 1/s, of a velocity over a change of position, root mean square over the axes
+
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def begin(position, prior, information, bending, bend_force, D, force):
@@ -245,6 +247,8 @@ def secant(position, delta, last_position, last_delta, longest, step):
 def condition(prior, shift, velocity, posterior):
     """Velocity and blocks of each 6-vector after its position is known, see ``ddakf.stages.fuse.condition``.
 
+    A gain larger than ``MOST_GAIN`` is scaled down. Over a step of a millisecond it would take noise for speed.
+
     Args:
         prior: ``CovarianceBlocks``.
         shift: (V, 3) posterior minus prior position, metres.
@@ -262,10 +266,18 @@ def condition(prior, shift, velocity, posterior):
             G[r, 0] = x * a + y * d + z * e
             G[r, 1] = x * d + y * b + z * f
             G[r, 2] = x * e + y * f + z * c
-            velocity[i, r] += G[r, 0] * shift[i, 0] + G[r, 1] * shift[i, 1] + G[r, 2] * shift[i, 2]
-            for s in range(3):
-                change[r, s] = posterior_pp[i, r, s] - P_pp[i, r, s]
+        squared = 0.0
         for r in range(3):
+            for s in range(3):
+                squared += G[r, s] * G[r, s]
+                change[r, s] = posterior_pp[i, r, s] - P_pp[i, r, s]
+        if squared > 3.0 * MOST_GAIN * MOST_GAIN:
+            scale = MOST_GAIN * sqrt(3.0 / squared)
+            for r in range(3):
+                for s in range(3):
+                    G[r, s] *= scale
+        for r in range(3):
+            velocity[i, r] += G[r, 0] * shift[i, 0] + G[r, 1] * shift[i, 1] + G[r, 2] * shift[i, 2]
             for s in range(3):
                 posterior_pu[i, r, s] = (
                     posterior_pp[i, r, 0] * G[s, 0] + posterior_pp[i, r, 1] * G[s, 1] + posterior_pp[i, r, 2] * G[s, 2]

@@ -79,7 +79,9 @@ def side_of_face(vertices, faces, f, d):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def outside(vertices, faces, neighbour, ring_start, ring_face, f, barycentric, d):
-    """Whether the offset d from a point of a face does not point against the pseudo-normal there.
+    """Whether the offset d from a point of a face does not point against the pseudo-normal there, or the point is on a rim.
+
+    Beyond the rim of a body mesh with a hole, such as a torso, there is neither inside nor outside: nothing is pushed out there.
 
     Where all faces around the point agree, so does any positive combination of their normals. Roots and angles are needed only
     within the fold of a crease.
@@ -95,11 +97,17 @@ def outside(vertices, faces, neighbour, ring_start, ring_face, f, barycentric, d
     least = most = side_of_face(vertices, faces, f, d)
     if on_edges == 1:
         other = neighbour[f, 1 if u <= FEATURE else (2 if v <= FEATURE else 0)]
-        if other >= 0:
-            side = side_of_face(vertices, faces, other, d)
-            least, most = min(least, side), max(most, side)
+        if other < 0:
+            return True
+        side = side_of_face(vertices, faces, other, d)
+        least, most = min(least, side), max(most, side)
     elif on_edges == 2:
         corner = faces[f, 0 if u > FEATURE else (1 if v > FEATURE else 2)]
+        for r in range(ring_start[corner], ring_start[corner + 1]):
+            g = ring_face[r]
+            s = 0 if faces[g, 0] == corner else (1 if faces[g, 1] == corner else 2)
+            if neighbour[g, s] < 0 or neighbour[g, (s + 2) % 3] < 0:
+                return True
         for r in range(ring_start[corner], ring_start[corner + 1], ring_step(ring_start, corner)):
             side = side_of_face(vertices, faces, ring_face[r], d)
             least, most = min(least, side), max(most, side)

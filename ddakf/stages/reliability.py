@@ -77,7 +77,8 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
     ``unexplained_distance``, and those count as unexplained that are within ``reach`` and not nearest to a boundary: the others
     come and go with the wearer. Where a part of the garment is absent from the cloud, such as sleeves that are thought to be
     elsewhere, the unexplained points may be that part. Of a relocalized garment that still settles nothing good is known from
-    before, so the frame alone counts; of a first frame's unexplained points as well.
+    before, so the frame alone counts; of a first frame's unexplained points as well, and of those of a frame that lacks what
+    explained such points in others.
 
     Args:
         problem: the frame.
@@ -94,6 +95,9 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
     first = health.least_unexplained == 1.0  # nothing has been compared before
     # a few points form no clumps, whatever they are of
     least = min(health.least_unexplained, share) if first or len(points) >= ENOUGH else health.least_unexplained
+    remembered = least
+    if _explains_less(problem):
+        least, remembered = share, health.least_unexplained
     removed = 1.0 - len(problem.garment.points) / len(problem.frame.points)
     foreign = least > config.foreign_rest and least + removed > config.foreign_share
     boundary, left_out = np.zeros((2, len(position)), bool)
@@ -107,8 +111,16 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
     return health._replace(
         offset=_follow(health.offset, offset, dt, memory),
         unexplained=_follow(health.unexplained, share, dt, 0.0 if first else memory),
-        least_unexplained=least,
+        least_unexplained=remembered,
     )
+
+
+def _explains_less(problem: Problem) -> bool:
+    """Whether the frame lacks the body's pose or the colours, by which skin and other clothes were told apart in others."""
+    last, frame = problem.last, problem.frame
+    if frame.body_vertices is None and last.anchor is not None and not np.array_equal(last.body.vertices, last.anchor.bound.pose):
+        return True  # the body has been in other poses than the first one
+    return frame.colors is None and last.palette is not None
 
 
 def clumped(points: np.ndarray, config: ErrorEvidence) -> int:

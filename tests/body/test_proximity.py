@@ -143,6 +143,22 @@ def test_an_open_body_has_contacts_too():
     assert np.abs(contact.distance).max() <= 0.003 + EXACT
 
 
+def test_beyond_the_rim_of_an_open_body_nothing_is_inside():
+    """As below a torso: the faces at its rim have an inside there, and their planes go on for ever."""
+    whole = ball()
+    top = whole.faces[(whole.vertices[whole.faces][:, :, 1] > 0.0).all(axis=1)]
+    used, numbers = np.unique(top, return_inverse=True)
+    half = Mesh(whole.vertices[used], numbers.reshape(top.shape))
+    rng = np.random.default_rng(0)
+    below = rng.uniform(-1.0, 1.0, (400, 3)) * np.ptp(half.vertices, axis=0).max()
+    below[:, 1] = half.vertices[:, 1].min() - np.ptp(half.vertices[:, 1]) - np.abs(below[:, 1])
+    _, contact = query(half, below)
+    assert (contact.distance >= 0.0).all()
+    inward = half.vertices[~half.boundary_vertices]
+    _, contact = query(half, 0.98 * (inward - whole.vertices.mean(axis=0)) + whole.vertices.mean(axis=0))
+    assert (contact.distance < 0.0).mean() > 0.8
+
+
 @pytest.mark.parametrize("n_faces", [1, 2, 8, 9, 16, 17, 100, 512])
 def test_bodies_of_any_size(n_faces):
     mesh, _ = Mesh.cleaned(ball(3).vertices, ball(3).faces[:n_faces])

@@ -37,7 +37,15 @@ def test_a_binary_ply_begins_after_its_header_whatever_its_bytes_are(tmp_path, l
 
 
 @pytest.mark.parametrize(
-    "text", ["x,y,z\n0.25,0.5,0.75\n1,2,3\n", "2\n0.25 0.5 0.75\n1 2 3\n", "X;Y;Z;red\n0.25; 0.5; 0.75; 9\n1;2;3;9\n"]
+    "text",
+    [
+        '"","x","y","z"\n1,0.25,0.5,0.75\n2,1,2,3\n',
+        ",x,y,z\n0,0.25,0.5,0.75\n1,1,2,3\n",
+        "t z;Y;x\n9;0.75;0.5;0.25\n9;3;2;1\n",
+        "x,y,z\n0.25,0.5,0.75\n1,2,3\n",
+        "2\n0.25 0.5 0.75\n1 2 3\n",
+        "X;Y;Z;red\n0.25; 0.5; 0.75; 9\n1;2;3;9\n",
+    ],
 )
 def test_a_first_line_may_name_the_columns_or_count_the_points(tmp_path, text):
     (tmp_path / "a.csv").write_text(text)

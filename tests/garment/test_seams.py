@@ -32,6 +32,15 @@ def test_a_garment_of_one_piece_has_none(mesh):
     assert seams.gap(mesh) == 0.0
 
 
+def test_panels_that_lie_beside_each_other_along_a_part_of_their_outline_are_apart():
+    """Hems belong to no seam: half of a panel's outline is beside the other one."""
+    front = TUBE.vertices[TUBE.faces].mean(axis=1)[:, 2] > TUBE.vertices[:, 2].mean()
+    vertices = np.concatenate([TUBE.vertices, TUBE.vertices + [0.0, 0.0, 0.003]])
+    faces = np.concatenate([TUBE.faces[~front], TUBE.faces[front] + TUBE.n_vertices])
+    used, numbers = np.unique(faces, return_inverse=True)
+    assert seams.gap(Mesh(vertices[used], numbers.reshape(faces.shape))) == pytest.approx(0.003, rel=0.1)
+
+
 def test_openings_that_cross_far_from_each_other_are_none():
     """As a skirt and a shirt whose hem is twice as wide: they come near in places alone."""
     wide = TUBE.vertices * [2.0, 1.0, 1.0] + [0.0, np.ptp(TUBE.vertices[:, 1]), 0.0]

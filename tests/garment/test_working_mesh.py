@@ -36,6 +36,14 @@ def test_others_get_an_even_one_of_bounded_size(mesh):
     assert working_mesh.unevenness(UNEVEN) > NUMBERS.working_unevenness
 
 
+@pytest.mark.parametrize(("share", "itself"), [(0.8, True), (0.3, False)])
+def test_a_template_of_long_triangles_is_not_even(share, itself):
+    """Along their short edges cloth would slide, however even their areas are."""
+    long = Mesh(TUBE.vertices * [1.0, share, 1.0], TUBE.faces)
+    assert (working_mesh.build(long, NUMBERS).mesh is long) == itself
+    assert (working_mesh.elongation(long) < working_mesh.LONGEST) == itself
+
+
 def test_the_paper_tracks_the_template_itself():
     assert working_mesh.build(FINE[0], Config.paper().discretisation).mesh is FINE[0]
 

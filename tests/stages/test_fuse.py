@@ -326,6 +326,18 @@ def test_condition_is_the_kalman_update_of_the_whole_six_vector(seed):
     np.testing.assert_allclose(full(state), covariances, rtol=1e-7, atol=1e-10)
 
 
+@pytest.mark.parametrize("dt", [1e-4, 1e-3])
+def test_a_change_over_a_short_step_is_no_speed(dt):
+    """After a precise frame the prior's error of a later one is all that of the velocity, and the gain is 1 / dt."""
+    rng = np.random.default_rng(0)
+    n, unit = 6, np.tile(np.eye(3), (6, 1, 1))
+    prior = random_state(rng.normal(size=(n, 3)), rng)._replace(velocity=np.zeros((n, 3)))
+    prior = prior._replace(P_pp=dt**2 * unit, P_pu=dt * unit, P_uu=unit)
+    state = fuse.condition(prior, prior.position + 0.01, 0.5 * prior.P_pp, prior.R)
+    assert np.abs(state.velocity).max() == pytest.approx(60.0 * 0.01)
+    assert (np.linalg.eigvalsh(full(state)) > -1e-12).all()
+
+
 def test_condition_on_what_was_known_changes_nothing():
     rng = np.random.default_rng(0)
     prior = random_state(rng.normal(size=(9, 3)), rng)

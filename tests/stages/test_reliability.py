@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -195,7 +196,8 @@ def test_a_limb_of_points_is_a_clump_and_stray_points_are_none():
 def shown(garment, count, removed=0):
     """The problem of a frame with so many points, of which some were removed as skin or by their colours."""
     frame = frame_of()._replace(points=np.zeros((count + removed, 3)))
-    return problem_of(garment, dt=DT)._replace(frame=frame, garment=frame.only(np.arange(count)))
+    last = SimpleNamespace(body=None, anchor=None, palette=None)
+    return problem_of(garment, dt=DT)._replace(frame=frame, garment=frame.only(np.arange(count)), last=last)
 
 
 def test_of_a_garment_that_was_just_found_the_frame_alone_counts():
@@ -252,6 +254,23 @@ def test_nearly_empty_frames_do_not_hide_that_a_cloud_is_of_more_than_the_garmen
     sparse = misfit(problem, known, person[::100], mesh.vertices)
     assert sparse.least_unexplained == known.least_unexplained > EVIDENCE_CONFIG.foreign_share
     assert misfit(problem, sparse, person, mesh.vertices).unexplained < 0.01
+
+
+@pytest.mark.parametrize("lacking", ["pose", "colours", "nothing"])
+def test_what_body_or_colours_explain_in_other_frames_speaks_of_no_offset_without_them(lacking):
+    mesh = tube()
+    garment, points = model.build(mesh), scan(mesh.vertices, mesh).astype(float)
+    skin = points[: len(points) // 2] + [0.8, 0.0, 0.0]
+    person, explained = np.concatenate([points, skin]), shown(garment, len(points), removed=len(skin))
+    known = misfit(explained, Health(), points, mesh.vertices)
+    posed = SimpleNamespace(vertices=mesh.vertices + 0.1), SimpleNamespace(bound=SimpleNamespace(pose=mesh.vertices))
+    body, anchor = posed if lacking == "pose" else (None, None)
+    last = SimpleNamespace(body=body, anchor=anchor, palette=object() if lacking == "colours" else None)
+    without = misfit(shown(garment, len(person))._replace(last=last), known, person, mesh.vertices)
+    assert (without.unexplained < 0.01) == (lacking != "nothing")
+    assert without.least_unexplained == known.least_unexplained
+    again = misfit(explained, without, person, mesh.vertices)  # now they are beside the garment although skin was removed
+    assert again.unexplained > without.unexplained
 
 
 @pytest.mark.parametrize(

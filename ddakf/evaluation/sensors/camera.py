@@ -44,10 +44,15 @@ class Camera:
 
     @classmethod
     def looking_at(cls, intrinsics: Intrinsics, eye, target) -> Camera:
-        """A camera at ``eye`` (3,) with ``target`` (3,) in the middle and the world's y axis upwards in the image."""
+        """A camera at ``eye`` (3,) with ``target`` (3,) in the middle and the world's y axis upwards in the image.
+
+        Where it looks along that axis, the world's -z axis points upwards.
+        """
         eye, target = np.asarray(eye, float), np.asarray(target, float)
         z = (target - eye) / np.linalg.norm(target - eye)
         x = np.cross(z, [0.0, 1.0, 0.0])
+        if np.linalg.norm(x) < 1e-9:
+            x = np.cross(z, [0.0, 0.0, -1.0])
         x /= np.linalg.norm(x)
         return cls(intrinsics, eye, np.stack([x, np.cross(z, x), z]))
 

@@ -84,6 +84,14 @@ def test_unprojected_pixels_lie_on_the_surface_and_project_back():
     assert np.allclose(camera.project(points), np.argwhere(face >= 0)[:, ::-1])
 
 
+@pytest.mark.parametrize("height", [3.0, -3.0])
+def test_a_camera_may_look_straight_down_or_up(height):
+    axes = Camera.looking_at(INTRINSICS, [0, height, 0], [0, 0, 0]).axes
+    assert np.allclose(axes @ axes.T, np.eye(3))
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    assert np.allclose(axes[1], [0, 0, 1])  # down in the image
+
+
 def test_camera_at_the_origin_looks_along_minus_z_with_y_up():
     depth = np.zeros((18, 24))
     depth[0, 23] = 2.0
