@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ddakf.errors import InvalidMesh
 
 MAX_COORDINATE = 1e4  # m: what is farther away is in another unit
-ALIKE = 0.01  # mean edges: ends of open edges that are nearer are at one place, as files round coordinates
+ALIKE = 0.01  # mean edges
 MIN_FACE_AREA = 1e-12  # m^2: a triangle below a square micrometre has no usable normal
 
 
@@ -46,7 +44,7 @@ class Mesh:
         faces.setflags(write=False)
 
     @classmethod
-    def cleaned(cls, vertices, faces) -> tuple[Mesh, np.ndarray]:
+    def cleaned(cls, vertices, faces, *, alike: float = ALIKE) -> tuple[Mesh, np.ndarray]:
         """Repairs what exported garments often have, and says which vertices remain.
 
         Joins triangles that share no vertices, and open edges at the place of another. Removes degenerate and duplicate faces,
@@ -56,6 +54,7 @@ class Mesh:
         Args:
             vertices: (V, 3) metres.
             faces: (F, 3) vertex indices.
+            alike: mean edges within which the ends of open edges are at one place, as files round coordinates.
 
         Returns:
             The mesh, and the vertex map (V',) int: vertex i of the mesh is vertex ``map[i]`` of the input.
@@ -65,7 +64,7 @@ class Mesh:
         """
         vertices, faces = _checked_arrays(vertices, faces)
         first = _first_alike(vertices)
-        faces = first[faces] if _apart(first) else _seamless(faces, _first_beside(vertices, faces))
+        faces = first[faces] if _apart(first) else _seamless(faces, _first_beside(vertices, faces, alike))
         faces = faces[~_degenerate(vertices, faces)]
         faces = faces[~_repeated(faces, len(vertices))]
         faces = _without_surplus_faces(vertices, faces)
@@ -101,7 +100,7 @@ class Mesh:
     @cached_property
     def split_edges(self) -> int:
         """Number of open edges at the place of another, as a file has that splits vertices along the seams of a texture."""
-        return int(np.count_nonzero(_seams(self.faces, _first_beside(self.vertices, self.faces))[1]))
+        return int(np.count_nonzero(_seams(self.faces, _first_beside(self.vertices, self.faces, ALIKE))[1]))
 
     @cached_property
     def size(self) -> float:
@@ -188,25 +187,28 @@ def _first_alike(vertices: np.ndarray) -> np.ndarray:
     return first
 
 
-def _first_beside(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V,) the first vertex at the place of each; of the ends of open edges, the first within ``ALIKE``, and those near that.
+def _first_beside(vertices: np.ndarray, faces: np.ndarray, alike: float) -> np.ndarray:
+    """(V,) the first vertex at the place of each; of the ends of open edges the first that is so many mean edges away, or less.
 
     Points that are nearer than half a cell share it in one of eight grids.
     """
     n, first = len(vertices), _first_alike(vertices)
     edges, count = _edges(faces, n)
     ends = np.unique(edges[count == 1])
-    if len(ends) == 0:
+    if len(ends) == 0 or alike == 0.0:
         return first
     length = float(np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1).mean())
-    row, column = [np.arange(n)], [first]
-    for shift in itertools.product((0.0, 0.5), repeat=3):
-        row.append(ends)
-        column.append(ends[_first_alike(np.floor(vertices[ends] / (2.0 * ALIKE * length) + shift))])
-    row, column = np.concatenate(row), np.concatenate(column)
-    _, group = connected_components(coo_array((np.ones(len(row)), (row, column)), shape=(n, n)), directed=False)
-    _, least = np.unique(group, return_index=True)
-    return least[group]
+    place = vertices[ends] / (2.0 * alike * length)
+    cells = [_first_alike(np.floor(place + shift)) for shift in itertools.product((0.0, 0.5), repeat=3)]
+    nearby, before = first[ends], np.empty(0)
+    while not np.array_equal(nearby, before):
+        before = nearby
+        for cell in cells:
+            least = nearby.copy()
+            np.minimum.at(least, cell, nearby)
+            nearby = least[cell]
+    first[ends] = nearby
+    return first
 
 
 def _apart(first: np.ndarray) -> int:
@@ -218,7 +220,7 @@ def _apart(first: np.ndarray) -> int:
 def _seams(faces: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(B, 2) open edges, and whether another one lies at the same place (B,), by the first vertex at each place."""
     edges, count = _edges(faces, len(first))
-    edges = edges[count == 1]
+    edges = edges[(count == 1) & (first[edges[:, 0]] != first[edges[:, 1]])]
     ends = np.sort(first[edges], axis=1)
     _, place, sharing = np.unique(ends @ [len(first), 1], return_inverse=True, return_counts=True)
     return edges, sharing[place] > 1

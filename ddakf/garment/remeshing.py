@@ -92,7 +92,7 @@ def _dual(mesh: Mesh, graph: Graph, seeds: np.ndarray) -> tuple[Mesh | None, np.
         if len(faces) == 0:
             return None, owner, seeds
         try:
-            even, used = Mesh.cleaned(mesh.vertices[seeds], faces)
+            even, used = Mesh.cleaned(mesh.vertices[seeds], faces, alike=0.0)
         except InvalidMesh:
             return None, owner, seeds
         if len(used) == len(seeds):

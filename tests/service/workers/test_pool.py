@@ -181,7 +181,7 @@ async def test_a_killed_worker_is_noticed_and_replaced(pool, sheet):
 async def test_a_worker_that_sends_nonsense_is_replaced(pool, sheet):
     await pool.open("one", creation(sheet))
     worker = pool._placements["one"].worker
-    worker._reader.feed_data(b"\xff" + bytes(14))
+    worker._reader.feed_data(b"\xff" + wire.head(wire.Kind.RESULT, 1, "", 0)[1:])
     await until(lambda: pool.lost)
     with pytest.raises(WorkerLost):
         await track(pool, "one", frame_of(sheet, 1))

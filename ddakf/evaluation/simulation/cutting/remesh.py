@@ -273,7 +273,7 @@ def cut(mesh: Mesh, field: np.ndarray) -> Mesh:
             faces.extend(([a, b, second], [a, second, first]))
     if not faces:
         raise InvalidMesh("garment", "a part of the surface", "nothing left after cutting")
-    return Mesh.cleaned(np.array(vertices), np.array(faces))[0]
+    return Mesh.cleaned(np.array(vertices), np.array(faces), alike=0.0)[0]
 
 
 def largest_part(mesh: Mesh) -> Mesh:
@@ -284,7 +284,7 @@ def largest_part(mesh: Mesh) -> Mesh:
     a, b = mesh.edges.T
     label = connected_components(coo_matrix((np.ones(len(a)), (a, b)), (mesh.n_vertices, mesh.n_vertices)), False)[1]
     largest = label == np.bincount(label).argmax()
-    return Mesh.cleaned(mesh.vertices, mesh.faces[largest[mesh.faces[:, 0]]])[0]
+    return Mesh.cleaned(mesh.vertices, mesh.faces[largest[mesh.faces[:, 0]]], alike=0.0)[0]
 
 
 def subdivided(mesh: Mesh) -> Mesh:
