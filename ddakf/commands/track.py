@@ -188,6 +188,8 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
             raise InvalidArgument(name, "a file in a folder that exists", path)
         if path and Path(path).resolve() in inputs:
             raise InvalidArgument(name, "another file than those that are tracked", path)
+        if path and Path(path).exists() and any(given in Path(path).resolve().parents for given in inputs):
+            raise InvalidArgument(name, "a file that does not exist yet in the folder that is tracked", path)
     if arguments.meshes and not Path(arguments.meshes).is_dir():
         raise InvalidArgument("meshes", "a folder that exists", arguments.meshes)
     if arguments.meshes and Path(arguments.meshes).resolve() in inputs:

@@ -46,15 +46,22 @@ def read_points(path: Path) -> np.ndarray:
 
 def _require_possible(path: Path) -> None:
     """Refuses a .pcd that announces more points than its bytes can hold: Open3D makes room for them before it reads any."""
-    announced = {b"POINTS": 0, b"WIDTH": 0, b"HEIGHT": 0}
+    announced, is_text = {b"POINTS": 0, b"WIDTH": 0, b"HEIGHT": 0}, False
     with path.open("rb") as file:
         for line in file.read(HEADER_BYTES).splitlines():
             name, *values = line.split() or [b""]
+            if name == b"DATA":
+                is_text = values == [b"ascii"]
+                break
             if name in announced and len(values) == 1 and values[0].isdigit():
                 announced[name] = int(values[0][:20])
     points, size = max(announced[b"POINTS"], announced[b"WIDTH"] * announced[b"HEIGHT"]), path.stat().st_size
     if points > MOST_POINTS_PER_BYTE * size:
         raise InvalidFile(f"{path.name}: POINTS", f"a number of points that {size} bytes can hold", str(points))
+    if is_text:
+        lines = sum(1 for line in path.read_bytes().partition(b"DATA ascii")[2].splitlines() if line.strip())
+        if lines < points:
+            raise InvalidFile(f"{path.name}: POINTS", f"a line for each of {points} points", f"{lines} lines")
 
 
 def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -119,6 +119,10 @@ def _parse_header(path: Path, data: bytes) -> tuple[str | None, list[_Element], 
                 raise InvalidFile(f"{path.name}: header line {number}", "a PLY statement", quoted(" ".join(words)))
     if order == "missing":
         raise InvalidFile(f"{path.name}: header", "a format line", "none")
+    for name, _, properties in declared:
+        names = [each.name for each in properties]
+        if twice := [each for each in names if names.count(each) > 1]:
+            raise InvalidFile(f"{path.name}: header", f"each property of {quoted(name)} once", quoted(twice[0]) + " twice")
     elements = [_Element(name, count, tuple(properties)) for name, count, properties in declared]
     _, _, body = data[end + len(line_end) :].partition(line_end)
     return order, elements, body

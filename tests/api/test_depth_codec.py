@@ -312,3 +312,18 @@ def test_memory_stays_within_the_bound_for_any_runs(word):
     image = of(data, "rvl", width=SHAPE[1], height=SHAPE[0])
     with at_most(200 * count), pytest.raises(CodecError):
         decode_depth(image, max_pixels=count)
+
+
+@pytest.mark.parametrize(
+    ("more", "field"),
+    [
+        ({"confidence": np.full((4, 6), 256, np.uint16)}, "confidence"),
+        ({"confidence": np.ones((4, 6), np.uint8), "min_confidence": 0.5}, "min_confidence"),
+        ({"confidence": np.ones((4, 6), np.uint8), "min_confidence": 256}, "min_confidence"),
+    ],
+)
+def test_confidences_that_one_byte_does_not_hold_are_named(more, field):
+    with pytest.raises(CodecError, match=f"^{field}: expected .* 255"):
+        encode_depth(np.ones((4, 6)), LENS, **more)
+    whole = encode_depth(np.ones((4, 6)), LENS, confidence=np.full((4, 6), 255, np.uint16), min_confidence=255.0)
+    assert sent(whole).keep.all()

@@ -61,6 +61,7 @@ def test_no_output_replaces_what_is_tracked(capsys, tmp_path):
         ((recording, "--out", tmp_path / "clouds" / ".." / "a.npz"), "out: expected another file"),
         ((folder, "--meshes", folder), "meshes: expected another folder"),
         ((folder, "--template", folder / "0000.obj", "--picture", folder / "0000.obj"), "picture: expected another file"),
+        ((folder, "--out", folder / "0001.obj"), "out: expected a file that does not exist yet in the folder that is tracked"),
     ):
         assert _track(*arguments) == 2
         assert names in capsys.readouterr().err

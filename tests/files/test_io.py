@@ -186,6 +186,10 @@ def test_pcd_through_open3d(tmp_path):
         "1 2 3\nnan nan nan\n"
     )
     assert np.array_equal(io.read_points(tmp_path / "cloud.pcd"), [[1, 2, 3]])
+    whole = (tmp_path / "cloud.pcd").read_text()
+    (tmp_path / "cloud.pcd").write_text(whole.rstrip().rpartition("\n")[0] + "\n")
+    with pytest.raises(InvalidFile, match=r"cloud\.pcd: POINTS: expected a line for each of \d points"):
+        io.read_points(tmp_path / "cloud.pcd")  # its writer was interrupted
     (tmp_path / "cloud.pcd").write_text("no cloud")
     with pytest.raises(InvalidFile, match="Open3D"):
         io.read_points(tmp_path / "cloud.pcd")

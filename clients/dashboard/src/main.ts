@@ -123,7 +123,7 @@ async function trySample(onStep: (step: string) => void): Promise<void> {
   if (!app) return;
   const from = view;
   onStep("Loading the recording");
-  const npz = await (await app.client.rest.call("GET", "/v1/sample")).arrayBuffer();
+  const npz = await (await app.client.rest.call("GET", "/v1/sample", { timeout: 60 })).arrayBuffer();
   if (view !== from) return;
   onStep("Creating a session");
   const player = await play({ kind: "sample", npz }, { labels: { source: "sample" } });

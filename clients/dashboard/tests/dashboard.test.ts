@@ -2,6 +2,7 @@
 import { readFileSync } from "node:fs";
 import { afterAll, afterEach, beforeAll, describe, expect, test } from "vitest";
 import type { Page } from "playwright-core";
+import { connect } from "ddakf-client";
 import { Service, freePort, temporaryFolder } from "../../typescript/tests/server.js";
 import { seriousProblems } from "./axe.js";
 import {
@@ -85,7 +86,11 @@ describe("a server without keys", () => {
     await page.locator(".session .pill[data-state=lost]").waitFor(); // after two seconds of empty clouds
     expect(await figure(page, "reliability")).toBeLessThan(before - 0.05);
     for (const chart of ["Reliability", "Latency"]) await expect.poll(() => hasBand(page, chart, "lost")).toBe(true);
-    await page.getByRole("button", { name: "Cover the lens" }).click();
+    await page.getByRole("link", { name: "Sessions", exact: true }).click();
+    await page.locator("tbody tr a").first().click();
+    const cover = page.getByRole("button", { name: "Cover the lens" });
+    expect(await cover.getAttribute("aria-pressed")).toBe("true"); // the camera goes on while the page shows something else
+    await cover.click();
     await page.locator(TRACKING).waitFor();
     await expect.poll(() => page.locator(".signs").innerText()).not.toContain("No points");
   });
@@ -186,6 +191,40 @@ describe("a server without keys", () => {
     } finally {
       for (const name of ["Body", "Points", "Follow", "Live", "Reset the view"]) await page.getByRole("button", { name }).click();
     }
+  });
+
+  test("a moment that is chosen while paused has its own signs", async () => {
+    const cover = page.getByRole("button", { name: "Cover the lens" });
+    await cover.click();
+    await page.locator(".signs", { hasText: "No points" }).waitFor();
+    await page.getByRole("button", { name: "Pause" }).click();
+    await slide(page, "Moment", (await lastMoment(page)) - 150);
+    await expect.poll(() => page.locator(".signs").innerText()).not.toContain("No points");
+    await cover.click();
+    await page.getByRole("button", { name: "Live" }).click();
+    await page.locator(TRACKING).waitFor();
+  });
+
+  test("a refused frame is named", async () => {
+    const client = await connect(setting.service.http, { worker: false });
+    const sheet = { vertices: Float32Array.of(0, 0, 0, 0.1, 0, 0, 0, 0.1, 0), faces: Uint32Array.of(0, 1, 2) };
+    const session = await client.createSession(sheet, {});
+    const other = await page.context().newPage();
+    await other.goto(`${setting.service.http}/#/${session.name}`);
+    await other.getByText("Waiting for frames").waitFor();
+    const frame = { points: sheet.vertices, timestamp: 1 }; // the second one is not later than the first
+    const seen = other.getByText(/Frame \d+ is refused: .*expected/).waitFor();
+    const state = { seen: false };
+    const frames = (async function* () {
+      for (; !state.seen; await new Promise((resolve) => setTimeout(resolve, 100))) yield frame;
+    })();
+    const tracking = (async () => {
+      for await (const answer of session.track(frames, { flow: "lossless", onError: "yield" })) expect(answer).toBeDefined();
+    })();
+    await seen.finally(() => (state.seen = true));
+    await tracking;
+    await other.close();
+    await session.delete();
   });
 
   test("a hidden tab gets numbers without arrays", async () => {

@@ -14,7 +14,7 @@ import { readGreyPng } from "../src/files/png.js";
 import { givenOf, recognise } from "../src/files/recognise.js";
 import { readMotion } from "../src/play/motion.js";
 import type { Captured } from "../src/play/source.js";
-import { byNumber, openSource } from "../src/play/sources.js";
+import { byNumber, masksOf, openSource } from "../src/play/sources.js";
 import { Agreement, distanceOf, newestPair } from "../src/session/pairing.js";
 import type { Moment } from "../src/session/memory.js";
 
@@ -477,6 +477,30 @@ print(json.dumps(told))
     expect([noted.mesh?.name, noted.source, noted.problems]).toEqual(["shirt.obj", undefined, []]);
     const stamps = [1700000000123456789n, 1700000000123456788n].map((time) => file(`${time}.ply`).file);
     expect(byNumber(stamps).map(({ name }) => name)).toEqual(["1700000000123456788.ply", "1700000000123456789.ply"]);
+    const inOrder = (names: string[]) =>
+      byNumber(names.map((name) => file(`${name}.ply`).file)).map(({ name }) => name.slice(0, -4));
+    expect(inOrder(["1700000000.2", "1700000000.04", "1700000000.12"])).toEqual([
+      "1700000000.04",
+      "1700000000.12",
+      "1700000000.2",
+    ]);
+    expect(inOrder(["1.10", "1.9", "1.2"])).toEqual(["1.2", "1.9", "1.10"]);
+    expect(inOrder(["c", "a", "b"])).toEqual(["a", "b", "c"]);
+  });
+
+  test("masks are those of the same name, or of the same numbers, or else of the same first number", () => {
+    const pairs = (images: string[], masks: string[]) => {
+      const files = (names: string[]) => names.map((name) => file(`${name}.png`).file);
+      return masksOf(files(images), files(masks)).map(({ name }) => name.slice(0, -4));
+    };
+    expect(pairs(["1305031102.16", "1305031102.19"], ["1305031102.19", "1305031102.16"])).toEqual([
+      "1305031102.16",
+      "1305031102.19",
+    ]);
+    expect(pairs(["cam0_1", "cam0_2"], ["mask0_2", "mask0_1"])).toEqual(["mask0_1", "mask0_2"]);
+    expect(pairs(["b", "a"], ["a", "b"])).toEqual(["b", "a"]);
+    expect(pairs(["1", "2"], ["2-of-3", "1-of-3"])).toEqual(["1-of-3", "2-of-3"]);
+    expect(() => pairs(["1305031102.16", "1305031102.19"], ["1305031102.17", "1305031102.2"])).toThrow("no mask for");
   });
 
   test("damaged archives and recordings are sentences with the name of the file", async () => {

@@ -8,11 +8,14 @@ export interface CallOptions {
   /** JSON, or the bytes of a snapshot. */
   body?: string | Uint8Array<ArrayBuffer>;
   query?: Record<string, string | string[] | undefined>;
+  /** Seconds for the whole answer, of a large one; default: those of the connection, and more for a large body. */
+  timeout?: number;
 }
 
 /** Properties of the server; the only call that is made at another address after a timeout. */
 export const INFO = "/v1/info";
 
+const SLOWEST = 100_000; // bytes per second of an upload
 const NO_SERVER = [502, 503, 504]; // of a proxy that reaches none
 
 /** HTTP calls with one key to one of several servers. */
@@ -87,22 +90,22 @@ export class Rest {
     base: string,
     method: string,
     path: string,
-    { body, query = {} }: CallOptions,
+    { body, query = {}, timeout = this.timeout + (body?.length ?? 0) / SLOWEST }: CallOptions,
   ): Promise<Response | ServiceError> {
     const headers: Record<string, string> = this.apiKey ? { authorization: `Bearer ${this.apiKey}` } : {};
     if (body !== undefined) headers["content-type"] = typeof body === "string" ? "application/json" : "application/octet-stream";
-    const signal = AbortSignal.timeout(1000 * this.timeout);
+    const signal = AbortSignal.timeout(Math.ceil(1000 * timeout));
     try {
       const response = await fetch(`${base}${path}${queryText(query)}`, { method, headers, signal, body: body ?? null });
       const content = await response.arrayBuffer();
       return new Response(content.byteLength > 0 ? content : null, response);
     } catch (cause) {
-      return this.failure(base, cause, signal.aborted);
+      return this.failure(base, cause, signal.aborted ? timeout : undefined);
     }
   }
 
-  private failure(base: string, cause: unknown, isLate: boolean): ServiceError {
-    if (isLate) return new DeadlineExceeded(`${base} gave no answer within ${this.timeout} s`);
+  private failure(base: string, cause: unknown, late: number | undefined): ServiceError {
+    if (late !== undefined) return new DeadlineExceeded(`${base} gave no answer within ${Number(late.toFixed(1))} s`);
     const reason = cause instanceof Error ? (cause.cause instanceof Error ? cause.cause.message : cause.message) : String(cause);
     return new Unavailable(`${base} does not answer: ${reason}`);
   }

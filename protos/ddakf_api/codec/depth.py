@@ -103,10 +103,13 @@ def encode_depth(
         message.mask_compression = byte_codec
         message.mask = _compress((_image("mask", mask, "biu", depth.shape) != 0).astype(np.uint8), byte_codec)
     if confidence is not None:
-        if not 0 <= min_confidence <= 255:
-            raise CodecError(field="min_confidence", expected="0 to 255", got=str(min_confidence))
-        message.confidence_compression, message.min_confidence = byte_codec, min_confidence
-        message.confidence = _compress(_image("confidence", confidence, "u", depth.shape).astype(np.uint8), byte_codec)
+        if isinstance(min_confidence, bool) or min_confidence not in range(256):
+            raise CodecError(field="min_confidence", expected="a whole number from 0 to 255", got=str(min_confidence)[:40])
+        confidence = _image("confidence", confidence, "u", depth.shape)
+        if confidence.size and confidence.max() > 255:
+            raise CodecError(field="confidence", expected="numbers up to 255, uint8", got=str(confidence.max()))
+        message.confidence_compression, message.min_confidence = byte_codec, int(min_confidence)
+        message.confidence = _compress(confidence.astype(np.uint8), byte_codec)
     if colors is not None:
         message.colors = checked_colors(colors, (*depth.shape, 3)).tobytes()
     return message

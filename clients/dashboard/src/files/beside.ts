@@ -9,11 +9,13 @@ export interface CameraFile {
   cy: number;
   depth_scale?: number;
   fps?: number;
+  width?: unknown;
+  height?: unknown;
   T_world_sensor?: number[][];
 }
 
 const SHORTEST = 1e-6; // seconds between two frames, as for Python
-const LEAST_SCALE = 1e-3; // units per metre
+const LEAST_SCALE = 1; // units per metre
 const LEAST_RATE = 1e-6; // frames per second
 const LARGEST = 1e12; // of a number in a file, in any unit, as for Python
 const ROTATION = 1e-3; // by which products of a rotation's rows may differ from those of exact ones
@@ -51,9 +53,12 @@ function cameraOfJson(text: string): CameraFile {
     throw new Error(`expected a JSON object, got ${quoted(text)}`);
   const camera: Record<string, unknown> = Object.fromEntries(Object.entries(fields).filter(([, value]) => value !== null));
   const { intrinsic_matrix: matrix } = camera;
-  // Open3D writes it column by column
-  if (Array.isArray(matrix) && matrix.length === 9)
-    [camera.fx, camera.fy, camera.cx, camera.cy] = [0, 4, 6, 7].map((k) => matrix[k] as unknown);
+  // Open3D writes it column by column, others row by row
+  if (Array.isArray(matrix) && matrix.length === 9) {
+    const byRows = matrix[6] === 0 && matrix[7] === 0 && (matrix[2] !== 0 || matrix[5] !== 0);
+    const places = byRows ? [0, 4, 2, 5] : [0, 4, 6, 7];
+    [camera.fx, camera.fy, camera.cx, camera.cy] = places.map((k) => matrix[k] as unknown);
+  }
   checkLens(camera);
   if (camera.depth_scale !== undefined) checkNumber(camera, "depth_scale", LEAST_SCALE);
   if (camera.fps !== undefined) checkNumber(camera, "fps", LEAST_RATE);
@@ -68,6 +73,8 @@ function cameraOfMatrix(text: string): CameraFile {
   const side = rows.length;
   if ((side !== 3 && side !== 4) || rows.some((row) => row.length !== side || !row.every(isNumber)))
     throw new Error(`expected a matrix of 3 x 3 or 4 x 4 numbers, got ${quoted(text) || "nothing"}`);
+  if (rows[2]![0] !== 0 || rows[2]![1] !== 0)
+    throw new Error(`expected a last row of 0 0 1, cx and cy in the last column, got ${quoted(rows[2]!.join(" "))}`);
   const camera = { fx: rows[0]![0]!, fy: rows[1]![1]!, cx: rows[0]![2]!, cy: rows[1]![2]! };
   checkLens(camera);
   return camera;

@@ -1,5 +1,5 @@
 /** Player: this page is a camera and streams a sample or files of its user to a session of its own, as any client does. */
-import { Result, ServiceError, type Client, type Flow, type Frame, type Mesh, type Session } from "ddakf-client";
+import { FrameError, Result, ServiceError, type Client, type Flow, type Frame, type Mesh, type Session } from "ddakf-client";
 import { Recording } from "ddakf-client/recordings";
 import { decompress } from "fzstd";
 import { sessionId } from "../format.js";
@@ -48,6 +48,9 @@ export class Player {
   /** Why it ended; undefined: it runs, or it was stopped, or its frames are over. */
   failure: unknown;
   ended = false;
+  /** Frames that were not tracked, and why the last one was not. */
+  refused = 0;
+  refusal: unknown;
   /** All frames were played. */
   isOver = false;
   /** Recorded answers by capture time, of a replay. */
@@ -165,6 +168,7 @@ export class Player {
     const options = { flow: this.flow, covariance: true, onNotice: () => undefined, onError: "yield" as const };
     for await (const answer of this.session.track(frames, options)) {
       if (this.ended) break;
+      if (answer instanceof FrameError) this.refuse(answer);
       if (answer.timestamp !== undefined) this.order({ answered: answer.timestamp });
     }
   }
@@ -190,6 +194,12 @@ export class Player {
     if (isShort(recorded)) this.shortSince = Math.min(this.shortSince, recorded.timestamp);
     if (this.recorded.size > MAX_RECORDED) this.recorded.delete(this.recorded.keys().next().value!);
     this.frames.put(frame.encoded);
+  }
+
+  private refuse({ error }: FrameError): void {
+    this.refused++;
+    this.refusal = error;
+    this.notify();
   }
 
   private end(): void {

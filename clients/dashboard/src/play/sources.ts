@@ -120,6 +120,10 @@ class DepthSource implements Source {
     const { colors, camera: file, fps } = given;
     const files = byNumber(given.files);
     const camera = await reading(file, (bytes) => cameraOf(file.name, bytes));
+    const { width, height } = await reading(files[0]!, readGreyPng);
+    const stated = [camera.width, camera.height];
+    if (stated.every((side) => typeof side === "number") && (stated[0] !== width || stated[1] !== height))
+      throw refusal(`${file.name}: width, height`, `${width} x ${height} as the images`, stated.join(" x "));
     const masks = masksOf(files, given.masks);
     const times = given.times && (await timesOf(given.times, files.length));
     const rate = rateOfTimes(times, camera.fps ?? fps);
@@ -153,7 +157,7 @@ class DepthSource implements Source {
   }
 }
 
-/** The mask of every depth image, by the first numbers in their names, as Python pairs them. Throws an Error where one is missing. */
+/** The mask of every depth image, by their names, as Python pairs them. Throws an Error where one is missing. */
 export function masksOf(files: File[], masks: File[]): File[] {
   if (masks.length === 0) return [];
   const beside = besideOf(files, masks);
@@ -162,14 +166,32 @@ export function masksOf(files: File[], masks: File[]): File[] {
   return beside as File[];
 }
 
-/** For every image the other one that has the same first number in its name. */
+const KEYS = [(file: File) => stemOf(file), (file: File) => numbersOf(file).join(), (file: File) => String(numbersOf(file)[0]!)];
+
+/**
+ * For every image the other one of the same name, or else of the same numbers in it, or else of the same first number. Of these
+ * the first holds that gives each image one of its own.
+ */
 function besideOf(files: File[], others: File[]): (File | undefined)[] {
-  const numbered = new Map(byNumber(others).map((file) => [firstNumber(file), file]));
-  return files.map((file) => numbered.get(firstNumber(file)));
+  let matched: (File | undefined)[] = [];
+  for (const key of KEYS) {
+    const [ofFiles, ofOthers] = [countsOf(files.map(key)), countsOf(others.map(key))];
+    const found = new Map(others.map((file) => [key(file), file]));
+    const alone = (name: string) => ofFiles.get(name) === 1 && ofOthers.get(name) === 1;
+    matched = files.map((file) => (alone(key(file)) ? found.get(key(file)) : undefined));
+    if (!matched.includes(undefined)) break;
+  }
+  return matched;
+}
+
+function countsOf(names: string[]): Map<string, number> {
+  const counts = new Map<string, number>();
+  for (const name of names) counts.set(name, (counts.get(name) ?? 0) + 1);
+  return counts;
 }
 
 /**
- * The colour images of depth images, by the first numbers in their names, as Python pairs them. None where one is missing, or where
+ * The colour images of depth images, by their names, as Python pairs them. None where one is missing, or where
  * the first one is grey, of another size or no image.
  */
 async function fitting(colors: File[], files: File[]): Promise<File[]> {
@@ -192,8 +214,8 @@ function numbersOf({ name }: File): bigint[] {
   return found.length > 0 ? found : [0n];
 }
 
-function firstNumber(file: File): bigint {
-  return numbersOf(file)[0]!;
+function stemOf({ name }: File): string {
+  return name.replace(/\.[^.]*$/, "");
 }
 
 /** Red, green, blue and opacity of the pixels of a PNG or JPEG image, as they are in the file. */
@@ -253,9 +275,17 @@ function narrowed({ vertices, faces }: { vertices: Float32Array | Float64Array; 
   return { vertices: Float32Array.from(vertices), faces: Uint32Array.from(faces) };
 }
 
-/** Files by the numbers in their names, as Python orders them, then by name. */
+const MOST_COUNTED = [6, 2] as const; // digits before and behind a point, of names that count; with more, they are seconds
+
+/** Files by the numbers in their names, then by name; by their times where all names are times with decimals; as Python orders them. */
 export function byNumber(files: File[]): File[] {
-  const numbered = files.map((file) => ({ file, numbers: numbersOf(file) }));
+  const stamps = files.map((file) => /^(\d+)\.(\d+)$/.exec(stemOf(file)));
+  const isLong = stamps.some((stamp) => stamp && (stamp[1]!.length > MOST_COUNTED[0] || stamp[2]!.length > MOST_COUNTED[1]));
+  const digits = Math.max(...stamps.map((stamp) => stamp?.[2]!.length ?? 0));
+  const areTimes = isLong && !stamps.includes(null);
+  const keyOf = (file: File, i: number) =>
+    areTimes ? [BigInt(stamps[i]![1]!), BigInt(stamps[i]![2]!.padEnd(digits, "0"))] : numbersOf(file);
+  const numbered = files.map((file, i) => ({ file, numbers: keyOf(file, i) }));
   return numbered
     .sort((a, b) => order(a.numbers, b.numbers) || a.file.name.localeCompare(b.file.name, "en"))
     .map(({ file }) => file);

@@ -3,6 +3,7 @@ import {
   DeadlineExceeded,
   Draining,
   FrameError,
+  ResourceExhausted,
   Result,
   Unavailable,
   type Client,
@@ -22,6 +23,8 @@ export interface WatchEvents {
   onStart?: (() => void) | undefined;
   onResult: (result: Result, cloud: Cloud | undefined) => void;
   onNotice: (notice: Notice) => void;
+  /** A frame was not tracked. */
+  onRefused?: ((error: FrameError) => void) | undefined;
   /** The connection is lost and tried again (true), or is back. */
   onLost: (lost: boolean, reason: string) => void;
   /** The session has ended, or may not be watched. */
@@ -52,6 +55,13 @@ export class Watching {
     this.leave();
   }
 
+  /** Watches over a new connection: of one that died without a word the browser knows nothing. */
+  again(): void {
+    if (this.closed) return;
+    this.leave();
+    void this.run(++this.turn);
+  }
+
   /** A hidden tab asks for numbers alone, after a moment in which it may be shown again. */
   private readonly onVisibility = () => {
     clearTimeout(this.hideTimer);
@@ -59,8 +69,7 @@ export class Watching {
     this.hideTimer = setTimeout(
       () => {
         this.hidden = document.hidden;
-        this.leave();
-        void this.run(++this.turn);
+        this.again();
       },
       document.hidden ? 2000 : 0,
     );
@@ -84,6 +93,7 @@ export class Watching {
           return;
         }
         this.events.onLost(true, error.message);
+        if (error instanceof ResourceExhausted) pause = Math.max(pause, error.retryAfter);
       }
       if (turn !== this.turn || this.closed) return;
       await new Promise((resolve) => setTimeout(resolve, 1000 * pause));
@@ -112,7 +122,10 @@ export class Watching {
     for await (const answer of session.watch(options)) {
       if (turn !== this.turn) return;
       onAlive();
-      if (answer instanceof FrameError) continue;
+      if (answer instanceof FrameError) {
+        this.events.onRefused?.(answer);
+        continue;
+      }
       const frame = frames.get(answer.sequence);
       for (const number of frames.keys()) if (number <= answer.sequence) frames.delete(number);
       this.events.onResult(answer, frame && (await cloudOf(frame)));
@@ -122,5 +135,6 @@ export class Watching {
 
 /** Whether the same call may succeed later. */
 export function isPassing(error: unknown): error is Error {
-  return error instanceof Unavailable || error instanceof DeadlineExceeded || error instanceof Draining;
+  const classes = [Unavailable, DeadlineExceeded, Draining, ResourceExhausted];
+  return classes.some((one) => error instanceof one);
 }

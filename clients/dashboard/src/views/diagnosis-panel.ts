@@ -1,5 +1,6 @@
 /** Diagnosis panel: what degrades the fit now, in words. */
 import { h, icon, text } from "../dom.js";
+import { Pace } from "../pace.js";
 import { diagnose } from "../session/diagnosis.js";
 import type { Moment } from "../session/memory.js";
 
@@ -10,7 +11,10 @@ export class DiagnosisPanel {
   private readonly list = h("ul.signs");
   private readonly heading = h("h2", { id: "diagnosis" }, "What degrades the fit");
   readonly element = h("section.card.diagnosis", { "aria-labelledby": "diagnosis" }, this.heading, this.list);
-  private last = -Infinity;
+  private readonly pace = new Pace(INTERVAL, () => {
+    this.draw();
+  });
+  private asked: { moments: readonly Moment[]; faces: Uint32Array } | undefined;
   private shown = "";
 
   constructor() {
@@ -19,9 +23,16 @@ export class DiagnosisPanel {
 
   /** @param moments up to the one that is shown. */
   show(moments: readonly Moment[], faces: Uint32Array): void {
-    const now = performance.now();
-    if (now - this.last < INTERVAL) return;
-    this.last = now;
+    this.asked = { moments, faces };
+    this.pace.ask();
+  }
+
+  close(): void {
+    this.pace.cancel();
+  }
+
+  private draw(): void {
+    const { moments, faces } = this.asked!;
     const signs = diagnose(moments, faces).slice(0, MAX_SIGNS);
     const titles = signs.map(({ severity, title }) => severity + title).join();
     if (titles === this.shown && signs.length > 0) {
@@ -46,7 +57,7 @@ export class DiagnosisPanel {
 
   /** Words instead of signs, until the next moment. */
   say(words: string): void {
-    this.last = -Infinity;
+    this.pace.cancel();
     if (this.shown === words) return;
     this.shown = words;
     this.list.replaceChildren(item("note", "info", words));

@@ -16,7 +16,7 @@ export class PlayerPanel {
         player.change({ blind: !player.settings.blind });
         set(blind, { "aria-pressed": String(player.settings.blind) });
       },
-      { class: "chip", "aria-pressed": "false" },
+      { class: "chip", "aria-pressed": String(player.settings.blind) },
     );
     const patient = button(
       "Outrun the server",
@@ -26,7 +26,7 @@ export class PlayerPanel {
       },
       {
         class: "chip",
-        "aria-pressed": "false",
+        "aria-pressed": String(!player.settings.patient),
         title: "Send frames without waiting for answers: what cannot be tracked is dropped",
       },
     );
@@ -48,7 +48,8 @@ export class PlayerPanel {
     );
     const draw = () => {
       const over = player.isOver ? "all frames were sent" : "stopped";
-      text(this.state, player.failure ? reasonOf(player.failure) : player.ended ? over : "");
+      const refused = player.refused > 0 ? `${player.refused} frames were refused: ${reasonOf(player.refusal)}` : "";
+      text(this.state, player.failure ? reasonOf(player.failure) : refused || (player.ended ? over : ""));
       for (const control of this.element.querySelectorAll<HTMLInputElement | HTMLButtonElement>("input, button"))
         control.disabled = player.ended && (control !== end || !player.isOver);
     };
@@ -67,7 +68,7 @@ export class PlayerPanel {
     );
     const hidden = this.range(
       "Hidden side",
-      { min: 0, max: 90, step: 5, value: 0 },
+      { min: 0, max: 90, step: 5, value: 100 * player.settings.hidden },
       (v) => `${v} %`,
       (v) => {
         player.change({ hidden: v / 100 });

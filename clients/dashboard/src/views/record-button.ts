@@ -57,7 +57,7 @@ export class RecordButton {
     text(this.label, "Recording");
   }
 
-  private finish(ended: { file: Blob } | { error: string }): void {
+  private finish(ended: { file: Blob; reason: string } | { error: string }): void {
     this.worker?.terminate();
     this.worker = undefined;
     set(this.element, { "aria-pressed": "false" });
@@ -66,7 +66,8 @@ export class RecordButton {
     else {
       download(`${this.id}.mcap`, ended.file, "application/octet-stream");
       const missed = this.missed > 0 ? `; ${this.missed} frames were missed, and a replay will differ after them` : "";
-      this.say(`${this.id}.mcap has ${this.frames} frames${missed}.`, this.missed > 0 ? "poor" : "note");
+      const early = ended.reason ? ` The recording has ended by itself: ${ended.reason}.` : "";
+      this.say(`${this.id}.mcap has ${this.frames} frames${missed}.${early}`, missed || early ? "poor" : "note");
     }
   }
 }

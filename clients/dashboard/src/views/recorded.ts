@@ -6,6 +6,7 @@ import { Recorded } from "../session/recorded.js";
 import { Workbench } from "./workbench.js";
 import { failureView, waitingView, type App, type View } from "./view.js";
 
+const LONGEST_DOWNLOAD = 600; // seconds
 const NAME = /filename\*?=(?:utf-8''|")?([^";]+)/i;
 
 /** The view of the recording that is open, or of the one that the server was started with. */
@@ -41,7 +42,7 @@ async function served(app: App): Promise<Recorded> {
 
 async function download({ client }: App): Promise<File> {
   try {
-    const response = await client.rest.call("GET", "/v1/recording");
+    const response = await client.rest.call("GET", "/v1/recording", { timeout: LONGEST_DOWNLOAD });
     const name = NAME.exec(response.headers.get("content-disposition") ?? "")?.[1] ?? "recording.mcap";
     return new File([await response.blob()], decodeURIComponent(name));
   } catch (error) {

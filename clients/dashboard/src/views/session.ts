@@ -1,6 +1,16 @@
 /** Session: a garment as it is tracked, with its charts, its signs of trouble and its past. */
-import { SessionExpired, SessionNotFound, unpack, unpackFloats, type messages, type Notice, type Result } from "ddakf-client";
+import {
+  ResourceExhausted,
+  SessionExpired,
+  SessionNotFound,
+  unpack,
+  unpackFloats,
+  type messages,
+  type Notice,
+  type Result,
+} from "ddakf-client";
 import { reasonOf } from "../api/connection.js";
+import type { Row } from "../api/fleet.js";
 import { h } from "../dom.js";
 import { fixed, stateName } from "../format.js";
 import type { Cloud } from "../session/cloud.js";
@@ -12,6 +22,7 @@ import { Workbench, type MeshArrays } from "./workbench.js";
 import type { App, View } from "./view.js";
 
 const NOTICE_SECONDS = 8;
+const SILENCE = 10; // seconds without an answer after which a watch is doubted
 const RETRY_INTERVAL = 2; // seconds between attempts to read a session from a server that does not answer
 
 export function sessionView(app: App, id: string): View {
@@ -25,6 +36,8 @@ class SessionView {
   private readonly recording: RecordButton;
   private readonly panel: PlayerPanel | undefined;
   private watching: Watching | undefined;
+  private heard = performance.now(); // the watch, last
+  private applied = 0; // frames, by the list of sessions
   private readonly unlisten: () => void;
   private retryTimer: ReturnType<typeof setTimeout> | undefined;
   private closed = false;
@@ -37,7 +50,7 @@ class SessionView {
     this.panel = player && new PlayerPanel(player, app.stopPlaying);
     const compare = h("a.button", { href: `#/compare/${id}`, title: "Beside another session" }, "Compare");
     this.recording = new RecordButton(id, (words, severity) => {
-      this.bench.say(words, severity, NOTICE_SECONDS);
+      this.bench.say(words, severity, severity === "note" ? NOTICE_SECONDS : 0);
     });
     const actions = [this.recording.element, compare];
     this.bench = new Workbench({
@@ -49,7 +62,8 @@ class SessionView {
     });
     this.element = this.bench.element;
     this.unlisten = app.fleet.onChange(() => {
-      if (app.fleet.rows.some((row) => row.id === id && row.state === "idle")) this.bench.rest();
+      const row = app.fleet.rows.find((each) => each.id === id);
+      if (row) this.compareWith(row);
     });
     void this.open();
   }
@@ -63,6 +77,16 @@ class SessionView {
     this.recording.stop();
     this.bench.close();
   };
+
+  /** Notices by the list of sessions that no frames come, or that they do and the watch tells of none. */
+  private compareWith({ state, applied }: Row): void {
+    if (state === "idle") this.bench.rest();
+    if (this.watching && applied > this.applied && performance.now() - this.heard > 1000 * SILENCE) {
+      this.heard = performance.now();
+      this.watching.again();
+    }
+    this.applied = applied;
+  }
 
   /** Reads the session's meshes, then watches; an ended session has its history alone. */
   private async open(): Promise<void> {
@@ -78,7 +102,8 @@ class SessionView {
       if (!isPassing(error)) this.end(error);
       else {
         this.sayLost(error.message);
-        this.retryTimer = setTimeout(() => void this.open(), 1000 * RETRY_INTERVAL);
+        const pause = error instanceof ResourceExhausted ? Math.max(RETRY_INTERVAL, error.retryAfter) : RETRY_INTERVAL;
+        this.retryTimer = setTimeout(() => void this.open(), 1000 * pause);
       }
     }
   }
@@ -95,7 +120,14 @@ class SessionView {
       this.bench.stage.say("Waiting for frames");
     const player = this.app.player?.id === this.id ? this.app.player : undefined;
     this.watching = new Watching(this.app.client, this.id, {
-      onStart: player?.begin,
+      onStart: () => {
+        this.heard = performance.now();
+        player?.begin();
+      },
+      onRefused: ({ sequence, error }) => {
+        this.heard = performance.now();
+        this.bench.say(`Frame ${sequence} is refused: ${reasonOf(error)}`, "bad", NOTICE_SECONDS);
+      },
       onResult: this.onResult,
       onNotice: this.onNotice,
       onLost: (lost, reason) => {
@@ -110,6 +142,7 @@ class SessionView {
 
   private readonly onResult = (result: Result, cloud: Cloud | undefined) => {
     if (this.closed) return;
+    this.heard = performance.now();
     this.bench.memory.add(result, cloud);
     this.bench.follow();
   };

@@ -80,6 +80,7 @@ export class Workbench {
     clearTimeout(this.noticeTimer);
     for (const end of this.endings) end();
     this.charts.close();
+    this.diagnosis.close();
     this.timeline.close();
     this.inspector.close();
     this.scene?.close();

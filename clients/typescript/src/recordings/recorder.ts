@@ -41,6 +41,8 @@ export interface RecordOptions {
   onStart?: () => void;
   /** Called after each recorded frame. */
   onFrame?: (progress: Progress) => void;
+  /** Called with the reason where something else than the session's end has ended a recording that has frames. */
+  onEnd?: (error: Error) => void;
 }
 
 /**
@@ -50,7 +52,7 @@ export interface RecordOptions {
  * @throws SessionNotFound, Unavailable, ...: the session cannot be watched, or the connection was lost before the first frame.
  */
 export async function record(session: Session, options: RecordOptions = {}): Promise<Blob> {
-  const { frames: most = Infinity, signal, zstd, onStart, onFrame } = options;
+  const { frames: most = Infinity, signal, zstd, onStart, onFrame, onEnd } = options;
   const leaving = new AbortController();
   const leave = () => {
     leaving.abort();
@@ -87,6 +89,7 @@ export async function record(session: Session, options: RecordOptions = {}): Pro
   } catch (error) {
     const ended = error instanceof SessionNotFound || error instanceof SessionExpired;
     if (!begun || (!ended && (await begun).progress.frames === 0)) throw error; // otherwise what came is whole
+    if (!ended) onEnd?.(error as Error);
   } finally {
     signal?.removeEventListener("abort", leave);
   }

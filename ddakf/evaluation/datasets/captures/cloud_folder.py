@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ddakf.errors import InvalidArgument, InvalidFile
-from ddakf.evaluation.datasets.captures.recording import TIMES, by_number, frame_times, positive_rate, rate_of, visible
+from ddakf.evaluation.datasets.captures.frame_names import in_order
+from ddakf.evaluation.datasets.captures.recording import TIMES, frame_times, positive_rate, rate_of, visible
 from ddakf.evaluation.sensors.captured_frame import Cloud, ColouredCloud
 from ddakf.files.io import MESH_SUFFIXES, POINT_SUFFIXES, read_coloured_points, read_mesh, read_sensor_origin
 from ddakf.mesh import Mesh
@@ -106,7 +107,7 @@ def load_folder(path, fps: float = 30.0) -> FolderRecording:
     meshes = sorted(entry for entry in found if entry.stem == TEMPLATE and entry.suffix.lower() in MESH_SUFFIXES)
     frames = [entry for entry in found if entry not in meshes]
     numbered = [entry for entry in frames if any(letter.isdigit() for letter in entry.stem)]
-    paths = tuple(sorted(numbered or frames, key=by_number))
+    paths = in_order(numbered or frames)
     if not paths:
         raise InvalidFile(str(path), f"frames ({', '.join(POINT_SUFFIXES)})", "none in the folder")
     formats = Counter(frame.suffix.lower() for frame in paths)

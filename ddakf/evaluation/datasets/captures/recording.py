@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from collections.abc import Sequence as Ordered
 from dataclasses import dataclass, replace
@@ -136,8 +135,3 @@ def rate_of(times: np.ndarray | None, otherwise: float) -> float:
 def visible(paths: Iterable[Path]) -> list[Path]:
     """Files without a dot before their names: those are the copies of attributes that macOS writes beside files."""
     return [path for path in paths if not path.name.startswith(".")]
-
-
-def by_number(path: Path) -> list[int]:
-    """Sort key of a frame: the numbers in its file name."""
-    return [int(digits) for digits in re.findall(r"\d+", path.name)] or [0]

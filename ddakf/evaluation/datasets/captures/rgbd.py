@@ -11,7 +11,6 @@ down, z forward. Without ``T_world_sensor`` the points are in the axes of the se
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
 from collections.abc import Sequence as Ordered
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,21 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from ddakf.errors import InvalidFile
-from ddakf.evaluation.datasets.captures.recording import (
-    TIMES,
-    DepthRecording,
-    by_number,
-    frame_times,
-    positive_rate,
-    rate_of,
-    visible,
-)
+from ddakf.evaluation.datasets.captures.frame_names import beside, in_order
+from ddakf.evaluation.datasets.captures.recording import TIMES, DepthRecording, frame_times, positive_rate, rate_of, visible
 from ddakf.evaluation.datasets.formats.depth_files import LARGEST, is_number, load_camera, read_colors, read_grey
 
 log = logging.getLogger(__name__)
 
 MILLIMETRES = 1000.0  # per metre
-LEAST_SCALE = 1e-3  # units per metre
+LEAST_SCALE = 1.0  # units per metre
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
@@ -108,14 +100,15 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
         MissingDependency: Pillow is not installed.
     """
     path = Path(path)
-    paths = tuple(sorted(_images(path / "depth", (".png",)), key=by_number))
+    paths = in_order(_images(path / "depth", (".png",)))
     if not paths:
         raise InvalidFile(str(path), "depth images depth/*.png", "none")
     shape = read_grey(paths[0]).shape
     camera, fields = load_camera(path, shape)
     scale = fields.get("depth_scale", MILLIMETRES)
     if not is_number(scale) or scale < LEAST_SCALE:
-        raise InvalidFile("camera.json: depth_scale", f"units per metre in [{LEAST_SCALE:g}, {LARGEST:g}]", str(scale)[:40])
+        expected = f"units per metre, 1000 for millimetres, in [{LEAST_SCALE:g}, {LARGEST:g}]"
+        raise InvalidFile("camera.json: depth_scale", expected, str(scale)[:40])
     images = DepthImages(paths, _masks(path, paths), float(scale), shape)
     times = frame_times(path / TIMES, len(paths))
     fps = rate_of(times, fields.get("fps", fps))
@@ -129,7 +122,7 @@ def _masks(path: Path, paths: tuple[Path, ...]) -> tuple[Path, ...]:
     """The mask of every image; empty without a folder ``mask``."""
     if not (path / "mask").is_dir():
         return ()
-    found = _beside(paths, _images(path / "mask", (".png",)))
+    found = beside(paths, _images(path / "mask", (".png",)))
     if None in found:
         raise InvalidFile(f"{path.name}/mask", "a mask for every depth image", f"none for {paths[found.index(None)].name}")
     return tuple(found)
@@ -137,7 +130,7 @@ def _masks(path: Path, paths: tuple[Path, ...]) -> tuple[Path, ...]:
 
 def _colors(folder: Path, paths: tuple[Path, ...], shape: tuple[int, int]) -> ColorImages | None:
     """The colours of every image; None where some are missing, or the first ones are of another kind or size."""
-    found = _beside(paths, _images(folder, COLOR_SUFFIXES))
+    found = beside(paths, _images(folder, COLOR_SUFFIXES))
     if None in found:
         if any(found):
             log.warning("%s is left aside: it has no image for %s", folder.name, paths[found.index(None)].name)
@@ -155,9 +148,3 @@ def _colors(folder: Path, paths: tuple[Path, ...], shape: tuple[int, int]) -> Co
 
 def _images(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     return [path for path in visible(folder.glob("*")) if path.suffix.lower() in suffixes]
-
-
-def _beside(paths: tuple[Path, ...], others: Iterable[Path]) -> list[Path | None]:
-    """For every image the other one that has the same first number in its name; None without one."""
-    by_first = {tuple(by_number(other)[:1]): other for other in sorted(others)}
-    return [by_first.get(tuple(by_number(image)[:1])) for image in paths]

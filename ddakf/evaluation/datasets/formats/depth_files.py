@@ -28,6 +28,9 @@ def load_camera(path: Path, shape: tuple[int, int]) -> tuple[Camera, dict]:
     if (path / "camera.json").is_file():
         fields = _json(path / "camera.json")
         lens = _lens(fields)
+        stated = [fields.get("width"), fields.get("height")]
+        if all(map(is_number, stated)) and stated != [width, height]:
+            raise InvalidFile("camera.json: width, height", f"{width} x {height} as the images", "{:g} x {:g}".format(*stated))
         camera = _posed_camera(Intrinsics(width, height, *lens), fields.get("T_world_sensor"))
         return camera, fields
     if not (path / "intrinsics.txt").is_file():
@@ -35,6 +38,8 @@ def load_camera(path: Path, shape: tuple[int, int]) -> tuple[Camera, dict]:
     matrix = read_numbers(path / "intrinsics.txt")
     if matrix.shape not in ((3, 3), (4, 4)):
         raise InvalidFile("intrinsics.txt", "a 3 x 3 or 4 x 4 matrix", f"shape {matrix.shape}")
+    if matrix[2, :2].any():
+        raise InvalidFile("intrinsics.txt", "a last row of 0 0 1, cx and cy in the last column", str(matrix[2, :3].tolist()))
     lens = _checked_lens("intrinsics.txt", matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
     return Camera.at_origin(Intrinsics(width, height, *lens)), {}
 
@@ -119,10 +124,11 @@ def _json(path: Path) -> dict:
 
 
 def _lens(fields: dict) -> list[float]:
-    """fx, fy, cx, cy; Open3D writes the matrix column by column."""
+    """fx, fy, cx, cy; Open3D writes the matrix column by column, others row by row."""
     matrix = fields.get("intrinsic_matrix")
     if isinstance(matrix, list) and len(matrix) == 9:
-        return _checked_lens("camera.json: intrinsic_matrix", [matrix[k] for k in (0, 4, 6, 7)])
+        by_rows = matrix[6] == matrix[7] == 0 != (matrix[2] or matrix[5])
+        return _checked_lens("camera.json: intrinsic_matrix", [matrix[k] for k in ((0, 4, 2, 5) if by_rows else (0, 4, 6, 7))])
     return _checked_lens("camera.json", [fields.get(name) for name in ("fx", "fy", "cx", "cy")])
 
 

@@ -79,10 +79,11 @@ def test_a_camera_with_a_pose_gives_points_of_the_world(folder):
     assert np.median(_off_the_wall(recording.cloud(0).points)) < 1e-3
 
 
-def test_open3d_writes_its_matrix_by_columns(folder):
+@pytest.mark.parametrize("order", ["F", "C"])
+def test_open3d_writes_its_matrix_by_columns_and_others_by_rows(folder, order):
     matrix = [[LENS.fx, 0, LENS.cx], [0, LENS.fy, LENS.cy], [0, 0, 1]]
     before = load_rgbd(folder).cloud(1).points
-    said = {"width": 48, "height": 36, "intrinsic_matrix": np.ravel(matrix, order="F").tolist()}
+    said = {"width": 48, "height": 36, "intrinsic_matrix": np.ravel(matrix, order=order).tolist()}
     (folder / "camera.json").write_text(json.dumps(said))
     assert np.array_equal(load_rgbd(folder).cloud(1).points, before)
 
@@ -153,6 +154,9 @@ def test_timestamps_are_the_sensors(folder):
         ("intrinsics.txt", "1 2\n3 4\n", "matrix"),
         ("intrinsics.txt", "0 0 1\n0 5 1\n0 0 1\n", "positive"),
         ("intrinsics.txt", "a b c\n", "numbers"),
+        ("intrinsics.txt", "5 0 0\n0 5 0\n2 2 1\n", "cx and cy in the last column"),  # written by columns
+        ("camera.json", '{"fx": 1, "fy": 1, "cx": 1, "cy": 1, "width": 640, "height": 480}', "as the images, got 640 x 480"),
+        ("camera.json", '{"fx": 1, "fy": 1, "cx": 1, "cy": 1, "depth_scale": 0.001}', "1000 for millimetres"),
         ("camera.json", "{", "JSON"),
         ("camera.json", "[]", "object"),
         ("camera.json", "{}", "fx, fy, cx, cy"),
