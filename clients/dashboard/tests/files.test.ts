@@ -387,7 +387,7 @@ print(0)
     for (const [more, sentence] of [
       [{ fx: "20" }, 'fx: expected a positive number, got "20"'],
       [{ cy: undefined }, "cy: expected a number, got none"],
-      [{ depth_scale: 0 }, "depth_scale: expected a number from 0.001, got 0"],
+      [{ depth_scale: 0 }, "depth_scale: expected a number from 1, got 0"],
       [{ T_world_sensor: [[1, 0], 2] }, "T_world_sensor: expected 4 rows of 4 finite numbers, got [[1,0],2]"],
       [{ T_world_sensor: mirrored }, "T_world_sensor: expected a rotation, a shift and the row 0, 0, 0, 1"],
       [{ fx: 1e13 }, "fx: expected a positive number, got 10000000000000"],
