@@ -37,7 +37,9 @@ import numpy as np
 read = recordings.load(sys.argv[1])
 faces = np.frombuffer(read.session.garment.faces.data, "<u4").reshape(-1, 3)
 result = _converted(read.results[-1])
-print(json.dumps({"/cloud": foxglove.point_cloud(read.frames[-1]), "/garment": foxglove.garment(result, faces), "/numbers": foxglove.numbers(result)}))
+garment = foxglove.garment(result, foxglove.indices(faces))
+documents = {"/cloud": foxglove.point_cloud(read.frames[-1]), "/garment": garment, "/numbers": foxglove.numbers(result)}
+print(json.dumps({topic: json.loads(document) for topic, document in documents.items()}))
 `;
 
 const sheet = makeSheet();
