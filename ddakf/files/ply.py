@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -120,8 +121,7 @@ def _parse_header(path: Path, data: bytes) -> tuple[str | None, list[_Element], 
     if order == "missing":
         raise InvalidFile(f"{path.name}: header", "a format line", "none")
     for name, _, properties in declared:
-        names = [each.name for each in properties]
-        if twice := [each for each in names if names.count(each) > 1]:
+        if twice := [each for each, count in Counter(p.name for p in properties).items() if count > 1]:
             raise InvalidFile(f"{path.name}: header", f"each property of {quoted(name)} once", quoted(twice[0]) + " twice")
     elements = [_Element(name, count, tuple(properties)) for name, count, properties in declared]
     _, _, body = data[end + len(line_end) :].partition(line_end)

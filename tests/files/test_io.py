@@ -387,3 +387,10 @@ def test_files_without_colours_have_none(tmp_path):
     (tmp_path / "a.xyz").write_text("0 0 0\n")
     assert io.read_coloured_points(tmp_path / "a.ply")[1] is None
     assert io.read_coloured_points(tmp_path / "a.xyz")[1] is None
+
+
+def test_a_ply_that_declares_a_property_twice_is_refused(tmp_path):
+    header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nproperty float x\n"
+    (tmp_path / "a.ply").write_text(f"{header}end_header\n1 2 3 4\n")
+    with pytest.raises(InvalidFile, match=r"a\.ply: header: expected each property of vertex once, got x twice"):
+        io.read_points(tmp_path / "a.ply")

@@ -108,9 +108,9 @@ def record(
     try:
         next(call)  # Started: answers from now on are queued
         with open(path, "wb") as file, _Writer(file) as writer:
-            before = _write_beginning(client, session.name, writer)
+            after = _write_beginning(client, session.name, writer)
             on_start()
-            return _write_frames(_pairs(call, before.last_sequence_number), writer, end, frames, on_result)
+            return _write_frames(_pairs(call, after), writer, end, frames, on_result)
     except grpc.RpcError as error:
         failed = failure(error, client.target, _NO_LIMIT)
         if type(failed) is Cancelled and time.monotonic() >= end:  # by the timer
@@ -121,8 +121,8 @@ def record(
         call.cancel()
 
 
-def _write_beginning(client: Client, name: str, writer: _Writer) -> pb.SessionStatistics:
-    """Writes the session with its meshes, and its state if the key may read it. Returns its statistics in that state, or none."""
+def _write_beginning(client: Client, name: str, writer: _Writer) -> int:
+    """Writes the session with its meshes, and its state if the key may read it. Returns the last frame of that state; 0: none."""
     try:
         state = client.call("SnapshotSession", pb.SnapshotSessionRequest(name=name))
     except PermissionDenied:
@@ -133,7 +133,7 @@ def _write_beginning(client: Client, name: str, writer: _Writer) -> pb.SessionSt
         writer.attach(SNAPSHOT, state.data)
     writer.indices = foxglove.indices(np.frombuffer(whole.garment.faces.data, "<u4"))
     writer.write(SESSION, whole.SerializeToString(), whole.statistics.last_capture_time)
-    return pb.SessionStatistics() if state is None else state.session.statistics
+    return 0 if state is None else state.session.statistics.last_sequence_number
 
 
 def _pairs(call: grpc.Call, after: int) -> Iterator[tuple[pb.Frame, pb.Result] | None]:

@@ -30,21 +30,11 @@ def beside(paths: Iterable[Path], others: Iterable[Path]) -> list[Path | None]:
 
     Of these the first holds that gives each image one of its own. None without one.
     """
-    paths, others = list(paths), list(others)
+    paths, others, matched = list(paths), list(others), []
     keys: tuple[Callable[[Path], object], ...] = (lambda p: p.stem, lambda p: tuple(by_number(p)), lambda p: by_number(p)[0])
     for key in keys:
-        found = {key(other): other for other in others}
-        if len(found) == len(others) and len({key(path) for path in paths}) == len(paths):
-            matched = [found.get(key(path)) for path in paths]
-            if None not in matched:
-                return matched
-    return _by_first(paths, others)
-
-
-def _by_first(paths: list[Path], others: list[Path]) -> list[Path | None]:
-    """For every image the other one that alone has the same first number in its name."""
-    count = Counter(by_number(other)[0] for other in others)
-    images = Counter(by_number(path)[0] for path in paths)
-    found = {by_number(other)[0]: other for other in others}
-    first = [by_number(path)[0] for path in paths]
-    return [found.get(number) if count[number] == images[number] == 1 else None for number in first]
+        of_paths, of_others, found = Counter(map(key, paths)), Counter(map(key, others)), {key(other): other for other in others}
+        matched = [found[key(p)] if of_paths[key(p)] == of_others[key(p)] == 1 else None for p in paths]
+        if None not in matched:
+            break
+    return matched
