@@ -96,7 +96,7 @@ test: lint warm
 	@$(PYTEST) -m "not slow" $(ARGS)
 
 test-all: lint warm
-	@$(PYTEST) -rs $(ARGS)
+	@$(PYTEST) -rsfE $(ARGS)
 
 test-without-recordings: warm
 	@DDAKF_DATA=/nonexistent $(PYTEST) -m recordings $(ARGS)
