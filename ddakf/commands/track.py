@@ -104,6 +104,9 @@ def run(arguments: argparse.Namespace) -> int:
             _report(arguments, source, scores, album)
         raise
     _report(arguments, source, scores, album)
+    if scores.summary()["empty_frames"] == len(source):
+        got = f"{arguments.path}, all of whose {len(source)} have none"
+        raise InvalidArgument("path", "frames with points of the garment", got)
     return 0
 
 
@@ -123,6 +126,8 @@ def table(title: str, summary: dict) -> Table:
     """The summary of a :class:`~ddakf.evaluation.tracking.scoreboard.Scoreboard` for people."""
     rows = Table(title=Text(title), show_header=False, title_justify="left")
     rows.add_row("frames", str(summary["frames"]))
+    if summary["empty_frames"]:
+        rows.add_row("frames without points", str(summary["empty_frames"]))
     rows.add_row("states", ", ".join(f"{state} {share:.1%}" for state, share in summary["states"].items()))
     rows.add_row("time per frame, p50 / p99", f"{summary['ms_p50']:.1f} / {summary['ms_p99']:.1f} ms")
     rows.add_row("frames per second", f"{summary['fps']:.0f}")

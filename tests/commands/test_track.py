@@ -2,6 +2,7 @@
 
 import json
 import queue
+import re
 import sys
 import threading
 from contextlib import contextmanager
@@ -74,6 +75,22 @@ def test_a_frame_that_is_refused_is_named(capsys, tmp_path):
         io.write_points(tmp_path / f"{number}.xyz", 1000 * sample().garment_vertices[number])
     assert _track(tmp_path) == 2
     assert "ddakf: frame 1: points" in capsys.readouterr().err
+
+
+def test_frames_without_points_are_counted_and_a_run_of_nothing_else_fails(capsys, tmp_path):
+    run = (tmp_path, "--template", tmp_path / "template.obj")
+    io.write_mesh(tmp_path / "template.obj", sample().garment_vertices[0], sample().garment_faces)
+    empty = np.zeros((0, 3))
+    for number, points in enumerate((empty, sample().garment_vertices[1], empty)):
+        io.write_points(tmp_path / f"{number}.xyz", points)
+    assert _summary(capsys, *run)["empty_frames"] == 2
+    assert _track(*run) == 0
+    assert re.search("frames without points +│ 2 ", capsys.readouterr().out)
+    io.write_points(tmp_path / "1.xyz", empty)
+    assert _track(*run) == 2
+    printed = capsys.readouterr()
+    assert re.search("frames without points +│ 3 ", printed.out)
+    assert re.search("path: expected frames with points of the garment, got .*, all of whose 3 have none", printed.err)
 
 
 @pytest.mark.parametrize("view", ["full", "front", "ring4"])

@@ -28,6 +28,7 @@ class Scoreboard:
         self._rmse, self._normal, self._residual = [], [], []
         self._observed, self._hidden = [], []
         self._warned, self._warnings = Counter(), {}
+        self._empty = 0
 
     def add(self, frame: CapturedFrame, result, seconds: float) -> None:
         """Adds one frame.
@@ -49,6 +50,8 @@ class Scoreboard:
         vertices = np.asarray(result.vertices, np.float64)
         if len(frame.points):
             self._residual.append(self._distance(frame.points, vertices).astype(np.float32))
+        else:
+            self._empty += 1
         if frame.truth is not None:
             self._rmse.append(metrics.rmse_mm(vertices, frame.truth))
             self._normal.append(metrics.normal_rmse_mm(vertices, frame.truth, self._faces))
@@ -62,9 +65,9 @@ class Scoreboard:
         """The run in numbers; None for values that were not measured. Keys end in their unit.
 
         Returns:
-            ``frames``; ``states``: share of the frames in each; ``ms_p50``, ``ms_p99``: per frame; ``fps``: 1 /
-            mean time; ``rmse_mm``, ``normal_rmse_mm``: means over frames; ``coverage90`` and ``nees3``: of all
-            vertices pooled, with ``_observed`` and ``_hidden`` apart; ``residual_mean_mm``, ``residual_p95_mm``:
+            ``frames``; ``empty_frames``: those without points; ``states``: share of the frames in each; ``ms_p50``, ``ms_p99``:
+            per frame; ``fps``: 1 / mean time; ``rmse_mm``, ``normal_rmse_mm``: means over frames; ``coverage90`` and ``nees3``:
+            of all vertices pooled, with ``_observed`` and ``_hidden`` apart; ``residual_mean_mm``, ``residual_p95_mm``:
             distance of the cloud's points to the surface, pooled; ``reliability``: mean; ``warnings``: each code once, with its
             field, its last sentence and the number of its frames.
         """
@@ -74,6 +77,7 @@ class Scoreboard:
         groups = {"": self._observed + self._hidden, "_observed": self._observed, "_hidden": self._hidden}
         summary = {
             "frames": count,
+            "empty_frames": self._empty,
             "states": {state: n / count for state, n in Counter(self._states).most_common()},
             "ms_p50": _percentile(ms, 50),
             "ms_p99": _percentile(ms, 99),
@@ -109,7 +113,6 @@ class Scoreboard:
                 faces=self._faces.astype(np.int32),
                 **repaired,
             )
-
 
     def save_meshes(self, folder) -> None:
         """Writes the garment of each frame, in metres, as ``NUMBER.obj`` into a folder that exists."""
