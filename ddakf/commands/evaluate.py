@@ -95,7 +95,7 @@ def run(arguments: argparse.Namespace) -> int:
     for reason in reasons(result):
         shown.print(reason, markup=False, soft_wrap=True)
     console.print(str(arguments.json))
-    return 1 if all("failed" in cell for cell in result["results"]) else 0
+    return 1 if all("failed" in cell and not cell["runs"] for cell in result["results"]) else 0
 
 
 def _how(arguments: argparse.Namespace) -> dict[str, bool]:

@@ -17,7 +17,7 @@ from ddakf.evaluation.datasets.faust import CLIP
 from ddakf.files.sequence import Sequence, read_names
 
 FAUST_TRAINING_SUBJECTS = frozenset(range(8))  # as in the paper, which tests on the other two
-FAUST_NAME = re.compile(r"(?:faust_|FAUST#)s(\d+)_p\d+$")
+FAUST_NAME = re.compile(r"(?:faust_|#)s(\d+)_p\d+$")
 UNTOUCHED, TUNED = "untouched", "tuned"
 BODY = "whole body"
 # Words of a garment's or a sequence's name. CLOTH3D's garments are Tshirt, Top, Trousers, Skirt, Jumpsuit and Dress.

@@ -16,6 +16,7 @@ from ddakf.evaluation.studies.study_summary import OURS, by_unit, paired
 VALUES = {"rmse_mm": ("RMSE", 1), "rmse_normal_mm": ("normal", 1), "cpu_ms_per_frame": ("ms", 0)}
 GROUPS, HELD = ("observed", "hidden"), (0.5, 0.9)  # of vertices; levels of the ellipsoids
 TINY = 1e-6  # of a time that is none
+FEWER = "* the mean of fewer sequences: on the others the system does not apply or failed."
 NOT_RIVALS = (OURS, "paper", "printed", *REFERENCES)
 
 
@@ -24,12 +25,14 @@ def table(result: Result, name: str = "headline", title: str = "Headline") -> Ta
     views = [view for view in CONDITIONS if view in result.views]
     systems = ordered(result.methods)
     means = {(m, v, value): geometric_mean(result, m, v, value) for m in systems for v in views for value in VALUES}
-    best = {(v, value): _least(means, systems, v, value) for v in views for value in ("rmse_mm", "rmse_normal_mm")}
+    partial = {(m, view) for m in systems for view in views if _partial(result, m, view)}
+    whole = {view: [m for m in systems if (m, view) not in partial] for view in views}
+    best = {(v, value): _least(means, whole[v], v, value) for v in views for value in ("rmse_mm", "rmse_normal_mm")}
     columns = [(view, value) for view in views for value in VALUES]
     first = next(iter(VALUES))
     heads = ["system", *((f"{CONDITIONS[v]}: " if value == first else "") + VALUES[value][0] for v, value in columns)]
     rows = [
-        [Cell(TITLES.get(m, m)), *(_cell(means[m, v, value], value, best.get((v, value)) == m) for v, value in columns)]
+        [Cell(TITLES.get(m, m)), *(_cell(means[m, v, x], x, best.get((v, x)) == m, (m, v) in partial) for v, x in columns)]
         for m in systems
     ]
     rows += [_ratios("best baseline / DD-AKF, RMSE", result, views, "rmse_mm"),
@@ -47,6 +50,9 @@ def table(result: Result, name: str = "headline", title: str = "Headline") -> Ta
     if best_of_each:
         notes.append(f"Against the best baseline of each sequence the ratios of the RMSE are {', '.join(best_of_each)}.")
     notes += [sentence for view in views for sentence in _not_first(result, view)]
+    if partial:
+        notes += [f"{TITLES.get(m, m)}: {result.reason(m)}" for m in systems if any((m, view) in partial for view in views)]
+        notes.append(FEWER)
     if loads:
         notes.append(f"Load average while the runs ended: {min(loads):.1f} to {max(loads):.1f}.")
     return Table(name, title, heads, rows, notes, [result])
@@ -113,7 +119,8 @@ def better_baselines(result: Result, view: str, value: str = "rmse_mm") -> dict[
     """By sequence (FAUST: subject) on which some baseline has less than DD-AKF: DD-AKF's value, that baseline and its value."""
     ours = _by_unit(result, OURS, view, value)
     rivals = {m: _by_unit(result, m, view, value) for m in result.methods if m not in NOT_RIVALS}
-    least = {unit: min((found[unit], m) for m, found in rivals.items() if unit in found) for unit in ours if rivals}
+    with_rival = [unit for unit in ours if any(unit in found for found in rivals.values())]
+    least = {unit: min((found[unit], m) for m, found in rivals.items() if unit in found) for unit in with_rival}
     return {unit: (ours[unit], name, error) for unit, (error, name) in sorted(least.items()) if error < ours[unit]}
 
 
@@ -143,8 +150,16 @@ def _least(means: dict, systems: Iterable[str], view: str, value: str) -> str | 
     return min(known, key=known.get) if known else None
 
 
-def _cell(mean: float | None, value: str, best: bool) -> Cell:
-    return Cell("–", kind="none") if mean is None else Cell(f"{mean:.{VALUES[value][1]}f}", kind="best" if best else "")
+def _partial(result: Result, system: str, view: str) -> bool:
+    """Whether a system has a value on some of the view's sequences, but not on all on which any system has one."""
+    having = {m: set(_by_unit(result, m, view, "rmse_mm")) for m in result.methods}
+    return bool(having[system]) and having[system] != set().union(*having.values())
+
+
+def _cell(mean: float | None, value: str, best: bool, partial: bool) -> Cell:
+    if mean is None:
+        return Cell("–", kind="none")
+    return Cell(f"{mean:.{VALUES[value][1]}f}" + "*" * partial, kind="best" if best else "")
 
 
 def _ratios(name: str, result: Result, views: list[str], value: str) -> list[Cell]:

@@ -121,8 +121,8 @@ def speed(path: Path, result: Result) -> None:
         axis.margins(x=0.12, y=0.12)
         _plain(axis, CONDITIONS[view])
     axes[0].set_ylabel("RMSE, mm", fontsize=SMALL)
-    handles, labels = axes[0].get_legend_handles_labels()
-    drawn.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False, fontsize=SMALL)
+    shown = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    drawn.legend(shown.values(), shown, loc="outside upper center", ncols=4, frameon=False, fontsize=SMALL)
     _save(drawn, path)
 
 

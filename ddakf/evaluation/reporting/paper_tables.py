@@ -288,6 +288,8 @@ def behind(name: str, title: str, result: Result, values: Iterable[str]) -> Tabl
     ]  # fmt: skip
     notes = [f"Cells: the best system, its mean, DD-AKF's mean. {len(values)} metrics, {len(places)} pairs of sequence and view; "
              "DD-AKF is best in all others."]  # fmt: skip
+    if failed := [f"{Path(name).name} {view}" for name, view in places if not _ours(result, (name, view))]:
+        notes.append(f"DD-AKF has no result of {', '.join(failed)}: {result.reason('ddakf')}.")
     return Table(name, title, ["sequence", "view", "constants", *(HEADS[value] for value in heads)], rows, notes, [result])
 
 
@@ -299,9 +301,15 @@ def _ahead(result: Result, place: tuple[str, str], value: str) -> str | None:
         if (cell["sequence"], cell["view"]) == place and cell["mean"] and cell["mean"][value] is not None
     }
     best = _first(means, value)
-    if best is None or "ddakf" not in means or means[best] == means["ddakf"]:
+    if best is None or means[best] == means.get("ddakf") or ("ddakf" not in means and _ours(result, place)):
         return None
-    return f"{TITLES.get(best, best)}: {_number(means[best], value)}, {_number(means['ddakf'], value)}"
+    ours = _number(means["ddakf"], value) if "ddakf" in means else "none"
+    return f"{TITLES.get(best, best)}: {_number(means[best], value)}, {ours}"
+
+
+def _ours(result: Result, place: tuple[str, str]) -> bool:
+    """Whether DD-AKF has a result of a sequence in a view."""
+    return any(cell["mean"] for cell in result.cells_of("ddakf", lambda c: (c["sequence"], c["view"]) == place))
 
 
 def reliability(name: str, title: str, results: list[Result]) -> Table:

@@ -94,7 +94,8 @@ class Result:
     @property
     def untraceable(self) -> str | None:
         """A sentence on runs of code that nobody can check out: uncommitted changes, commits that vanished; None without any."""
-        names = {run["commit"] for cell in self.cells for run in cell["runs"] if "commit" in run} | set(self.meta["commits"])
+        runs = [run for cell in self.cells for run in cell["runs"]]
+        names = {run[key] for run in runs for key in ("commit", "times_commit") if key in run} | set(self.meta["commits"])
         if lost := sorted(name for name in names if not machine.is_traceable(name)):
             return f"{self.name}.json {UNTRACEABLE}: {', '.join(lost)}."
         return None
@@ -108,18 +109,26 @@ class Result:
 
     @property
     def mixed_runs(self) -> str | None:
-        """A sentence on runs of several commits or several numbers of processes; None if all runs are alike."""
+        """A sentence on runs of several commits, machines or numbers of processes, and on times of earlier commits, or None."""
         commits: dict[str, dict[str, None]] = {commit: {} for commit in self.meta["commits"]}
-        processes = set()
+        times: dict[str, dict[str, None]] = {}
+        processes, machines = set(), set()
         for cell in self.cells:
             for run in cell["runs"]:
                 processes.add(run.get("processes"))
+                machines.add(run.get("cpu"))
+                if "times_commit" in run:
+                    times.setdefault(run["times_commit"], {})[cell["method"]] = None
                 if "commit" in run:
                     commits.setdefault(run["commit"], {})[cell["method"]] = None
         parts = []
         if len(commits) > 1:
             named = (f"{commit} ({', '.join(methods)})" if methods else commit for commit, methods in commits.items())
             parts.append(f"runs of several commits: {', '.join(named)}")
+        if times:
+            parts.append("times of earlier commits: " + ", ".join(f"{c} ({', '.join(methods)})" for c, methods in times.items()))
+        if len(machines - {None}) > 1:
+            parts.append(f"times of {' and '.join(sorted(machines - {None}))}")
         if len(processes - {None}) > 1:
             parts.append(f"times with {' and '.join(map(str, sorted(processes - {None})))} processes at once")
         return f"{self.name}.json has {'; '.join(parts)}." if parts else None

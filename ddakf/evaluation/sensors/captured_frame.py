@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ class ColouredCloud(NamedTuple):
     points: np.ndarray  # (N, 3) float32, m
     sensor_origin: np.ndarray | None  # as in Cloud
     colors: np.ndarray  # (N, 3) uint8, red, green, blue
+
 
 @dataclass(frozen=True, eq=False)
 class CapturedFrame:
@@ -45,3 +46,8 @@ class CapturedFrame:
     truth: np.ndarray | None = None
     body: np.ndarray | None = None
     colors: np.ndarray | None = None
+
+    def copy(self) -> CapturedFrame:
+        """The frame with arrays of its own of what a tracker gets, which may change them."""
+        given = ("points", "sensor_origin", "body_vertices", "colors")
+        return replace(self, **{name: None if (array := getattr(self, name)) is None else array.copy() for name in given})

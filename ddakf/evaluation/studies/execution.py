@@ -24,6 +24,7 @@ from ddakf.evaluation.studies.kept_rows import kept_rows
 from ddakf.evaluation.studies.row_log import RowLog
 from ddakf.evaluation.studies.study_plan import StudyPlan
 from ddakf.evaluation.trials.inputs import digest_of
+from ddakf.evaluation.trials.recordings import location
 from ddakf.evaluation.trials.trial import Trial
 
 SPEED_OVER = 3600.0  # s: window of the runs from which the remaining time is estimated, an hour
@@ -49,7 +50,7 @@ def execute(
         again: systems, or :data:`ALL`, whose trials run again if they are of another commit or did not apply.
         keep_times: a trial that runs again keeps its earlier times, with their commit: this machine is not that of the others.
     """
-    code = machine.code_version()
+    code, cpu = machine.code_version(), machine.describe()["cpu"]
 
     def finished(trial: Trial) -> bool:
         return row_log.done(trial) and not row_log.outdated(trial) and (row_log.current(trial, code) or not _chosen(trial, again))
@@ -68,9 +69,9 @@ def execute(
             trial = Trial.from_row(row)
             digest = digest_of(trial)
             inputs = {} if digest is None else {"inputs": digest}
-            times = study_summary.times(earlier[trial]) if trial in earlier and "per_frame" in row else {}
+            times = study_summary.times(earlier[trial]) if trial in earlier and "not_applicable" not in row else {}
             load = {"load_average": round(os.getloadavg()[0], 2)}
-            row_log.add({"commit": code, "processes": procs} | inputs | load | row | times)
+            row_log.add({"commit": code, "processes": procs, "cpu": cpu} | inputs | load | row | times)
 
 
 def systems_again(text: str, systems: Collection[str]) -> list[str]:
@@ -151,9 +152,13 @@ def run_study(
         allow_dirty: also with uncommitted code.
 
     Raises:
-        InvalidArgument: uncommitted code, for a result of the checkout, without ``allow_dirty``.
+        InvalidArgument: uncommitted code, for a result of the checkout, without ``allow_dirty``; a result file in the folder of a
+            recording.
     """
     machine.require_committed(out, allow_dirty)
+    for name in plan.sequences:
+        if (place := location(name)) and place.resolve() in out.resolve().parents:
+            raise InvalidArgument("json", f"a file outside of {place}, which is tracked", str(out))
     wanted, row_log = plan.trials(), _log_of(out)
     for other in others:
         if taken := row_log.take_over(wanted, _log_of(other, append=False)):

@@ -39,5 +39,5 @@ def _rows(result: dict) -> Iterator[dict]:
             inputs = {"inputs": run["inputs"]} if "inputs" in run else {}
             yield own | inputs | {name: run.get(name) for name in ("seed", "commit", "processes", "seconds")} | {KEPT: run}
         if "not_applicable" in cell and not cell["runs"]:
-            reason = {"commit": meta["commits"][-1], "not_applicable": cell["not_applicable"]}
+            reason = {"commit": next(reversed(meta["commits"]), None), "not_applicable": cell["not_applicable"]}
             yield from (own | {"seed": seed} | reason for seed in meta["seeds"])

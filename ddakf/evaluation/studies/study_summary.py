@@ -66,7 +66,7 @@ TESTED = (
 HIGHER_IS_BETTER = ("iou", "held_out_share")
 KEPT = "kept"  # field of a row that stands for a run of a result
 KEPT_TIMES = "kept_times"  # field of a row with the times of an earlier run, see times()
-TIMES = ("ms_per_frame", "ms_per_frame_p99", "cpu_ms_per_frame", "fps", "load_average")  # of a run, and the load that they had
+TIMES = ("ms_per_frame", "ms_per_frame_p99", "cpu_ms_per_frame", "fps", "load_average", "cpu")  # of a run, its load and machine
 RECOVERED, BEFORE = 1.5, 10  # a run has recovered at this multiple of its mean error in the frames BEFORE
 
 
@@ -115,8 +115,8 @@ def has_result(row: dict) -> bool:
 
 def times(row: dict) -> dict:
     """The times of a row as a field of a later row of the same trial, with their commit; nothing where it has none."""
-    if not {KEPT, "per_frame"} & set(row):
-        return {}
+    if not {KEPT, "per_frame"} & set(row):  # one that failed has those that were kept for it
+        return {KEPT_TIMES: row[KEPT_TIMES]} if KEPT_TIMES in row else {}
     run = _run(row)
     return {KEPT_TIMES: {"times_commit": run["commit"]} | {name: run[name] for name in (*TIMES, "times_commit") if name in run}}
 
@@ -125,7 +125,7 @@ def _run(row: dict) -> dict:
     if KEPT in row:
         return row[KEPT]
     run = {"seed": row["seed"], "commit": row["commit"], "processes": row.get("processes"), "seconds": row.get("seconds")}
-    run |= {"inputs": row["inputs"]} if "inputs" in row else {}
+    run |= {name: row[name] for name in ("inputs", "cpu") if name in row}
     run |= {name: row.get(key) for name, key in VALUES.items()} | row.get(KEPT_TIMES, {})
     frames = row["per_frame"]
     for score in ("reliability", "paper_score"):
@@ -191,7 +191,8 @@ def _tests(cells: list[dict]) -> dict:
         for other in others:
             ours, theirs = paired(measured, OURS, metric), paired(measured, other, metric)
             views = {place: None for place in ours if place in theirs}  # of the cells that both have
-            compared[other] = statistics.compare(by_unit(ours, views), by_unit(theirs, views), better)
+            none = {unit_of(sequence): None for sequence, _ in ours | theirs}  # where only one has any
+            compared[other] = statistics.compare(none | by_unit(ours, views), none | by_unit(theirs, views), better)
         if any(comparison.n for comparison in compared.values()):
             compared = statistics.corrected(compared)
             standing = statistics.standing(compared, rmse)

@@ -1,19 +1,27 @@
-"""Inputs of a trial that may change under an unchanged name: a tracker from elsewhere, and a recording given by its path."""
+"""Inputs of a trial that may change under an unchanged name: a tracker from elsewhere, and a recording of one's own."""
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
 import os
+import re
 import sys
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
+from ddakf.evaluation.trials.recordings import location
 from ddakf.evaluation.trials.trial import Trial
+
+IMPORT = re.compile(r"^\s*(?:from|import)\s+(\w+)", re.MULTILINE)
 
 
 def digest_of(trial: Trial) -> str | None:
-    """Digest of the module of a ``MODULE:CLASS``, and of the files of a recording given by a path; None without either."""
+    """Digest of the code of a ``MODULE:CLASS``, and of the files of a recording; None where both are the project's own.
+
+    The code is that of the module's package, or of a module alone and of what it imports from the folder beside it.
+    """
     sources = [_module(trial.variant), _recording(trial.sequence)]
     return "-".join(filter(None, sources)) or None
 
@@ -26,24 +34,43 @@ def _module(variant: str) -> str | None:
     if (here := os.getcwd()) not in sys.path:
         sys.path.append(here)
     try:
-        found = importlib.util.find_spec(module)
+        found = importlib.util.find_spec(module.partition(".")[0])
     except (ImportError, ValueError, AttributeError):  # the trial itself says so
         return None
-    return _digest(Path(found.origin)) if found and found.origin else None
+    if not found or not found.origin or not Path(found.origin).is_file():
+        return None
+    return _digest(_sources(Path(found.origin)))
+
+
+def _sources(origin: Path) -> set[Path]:
+    """The files of a package, by its ``__init__.py``, or a module's and those beside it that it imports, directly or not."""
+    if origin.name == "__init__.py":
+        return set(origin.parent.rglob("*.py"))
+    known, waiting = {origin}, [origin]
+    while waiting:
+        for name in IMPORT.findall(waiting.pop().read_text(encoding="utf-8", errors="replace")):
+            module, package = origin.with_name(f"{name}.py"), origin.parent / name / "__init__.py"
+            if package.is_file():
+                known |= _sources(package)
+            elif module.is_file() and module not in known:
+                known.add(module)
+                waiting.append(module)
+    return known
 
 
 @lru_cache
 def _recording(name: str) -> str | None:
-    path = Path(name.rpartition("@")[0] or name)
-    path = path if path.exists() else Path(name.partition("#")[0])
-    if path.is_file():
-        return _digest(path)
-    if not path.is_dir():
+    path = location(name)
+    if path is None:
         return None
-    files = sorted(file for file in path.rglob("*") if file.is_file())
-    listed = "\n".join(f"{file.relative_to(path)} {file.stat().st_size} {file.stat().st_mtime_ns}" for file in files)
-    return hashlib.sha256(listed.encode()).hexdigest()[:16]
+    return _digest([path] if path.is_file() else (file for file in path.rglob("*") if file.is_file()))
 
 
-def _digest(path: Path) -> str | None:
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else None
+def _digest(files: Iterable[Path]) -> str:
+    """Of the names and contents of files, wherever they lie."""
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        digest.update(f"{path.name}\0".encode())
+        with path.open("rb") as file:
+            digest.update(hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()[:16]

@@ -14,7 +14,7 @@ from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
 from ddakf.evaluation.trials.depth_score import DepthScore
 from ddakf.evaluation.trials.estimates import MethodFactory
-from ddakf.evaluation.trials.run_score import json_numbers
+from ddakf.evaluation.trials.run_score import json_numbers, require_finite
 from ddakf.evaluation.trials.trial import PAIR_STEPS
 
 
@@ -54,19 +54,21 @@ def recording_row(make: MethodFactory, recording: Recording, frames: range, sens
 
     for number in frames:
         frame = frame_of(number, recording.timestamp(number))
-        started, cpu_started = time.perf_counter(), time.thread_time()
-        estimate = step(frame)
+        given = frame.copy()
+        started, cpu_started = time.perf_counter(), time.process_time()
+        estimate = step(given)
         wall.append(1e3 * (time.perf_counter() - started))
-        cpu.append(1e3 * (time.thread_time() - cpu_started))
+        cpu.append(1e3 * (time.process_time() - cpu_started))
+        require_finite(estimate.vertices, number)
         residual = distance.residual(frame.points, estimate.vertices)
-        estimates.append(np.asarray(estimate.vertices, np.float32))
+        estimates.append(np.array(estimate.vertices, np.float32))  # a method may return a buffer of its own
         scores = {"number": number, "residual_mm": residual.mean_mm, "residual_p95_mm": residual.p95_mm}
         scores |= {"stretch_pct": shape.stretch(estimate.vertices, garment.vertices)}
         scores |= images(number, estimate.vertices) if images else {}
         told = {name: getattr(estimate, name) for name in ("reliability", "paper_score", "coverage", "state")}
         for name, value in (scores | {name: value for name, value in told.items() if value is not None}).items():
             values.setdefault(name, []).append(value)
-    back = [step(frame_of(number, timestamp)) for number, timestamp in _backwards(recording, frames)]
+    back = [step(frame_of(number, timestamp).copy()) for number, timestamp in _backwards(recording, frames)]
     states = values.pop("state", [])
     means = {name: statistics.finite_mean(column) for name, column in values.items() if name != "number"}
     row = {"frames_tracked": len(frames)} | means
@@ -104,10 +106,11 @@ def pair_row(make: MethodFactory, pair: Pair) -> dict:
     step, distance = make(pair.garment, pair.garment.vertices, None), metrics.SurfaceDistance(pair.garment)
     errors, wall = [], []
     for k in range(1, PAIR_STEPS + 1):
-        frame = CapturedFrame(k, k * pair.seconds / PAIR_STEPS, pair.target.points, pair.target.sensor_origin)
+        frame = CapturedFrame(k, k * pair.seconds / PAIR_STEPS, pair.target.points, pair.target.sensor_origin).copy()
         started = time.perf_counter()
         vertices = step(frame).vertices
         wall.append(1e3 * (time.perf_counter() - started))
+        require_finite(vertices, k)
         errors.append(metrics.end_point_error(pair.flow_of(vertices), pair.flow))
     last = errors[-1]
     row = {

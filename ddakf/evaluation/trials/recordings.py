@@ -19,6 +19,7 @@ FAUST = "faust_"  # before the name of a clip
 SAMPLE = "sample"  # the name of the recording that ships with the project
 AT = "@"  # between the name of a recording and a number of frames per second
 
+
 def recording_names() -> list[str]:
     """The bundled sample, and the recordings under DDAKF_DATA."""
     folder = _folder()
@@ -43,19 +44,34 @@ def find_recording(name: str) -> Sequence | Recording | Pair:
         return data.sample()
     if name.startswith(FAUST) and (archive := _faust()):
         return load_faust(archive).clip(name.removeprefix(FAUST))
-    for place in (name, *_under_data(name)):
-        if Path(place.partition("#")[0]).exists():
-            return open_dataset(place)
-    if name in {path.stem for path in data.TRAINING.glob("*.npz")}:
+    if place := _place(name):
+        return open_dataset(place)
+    if name in _training():
         return load_sequence(data.TRAINING / f"{name}.npz")
     if name in {each.name for each in collection.listed()}:
         return collection.load(name)
-    folder = _folder()
-    if folder is None or not (folder / f"{name}.npz").is_file():
-        known = [*recording_names(), *sorted(path.stem for path in data.TRAINING.glob("*.npz"))]
+    file = _sequence_file(name)
+    if file is None:
+        known = [*recording_names(), *_training()]
         expected = f"a path, or one of {', '.join(known)} (DDAKF_DATA names a folder of more)"
         raise InvalidArgument("sequence", expected, repr(name) + nearest(name, known))
-    return load_sequence(folder / f"{name}.npz")
+    return load_sequence(file)
+
+
+def location(name: str) -> Path | None:
+    """The file or folder in which :func:`find_recording` finds a recording; None of those that come with the project."""
+    base, at, rate = name.rpartition(AT)
+    if at and rate.isdecimal():
+        return location(base)
+    if name == SAMPLE:
+        return None
+    if name.startswith(FAUST) and (archive := _faust()):
+        return archive
+    if place := _place(name):
+        return Path(place) if Path(place).exists() else Path(place.partition("#")[0])
+    if name in _training() or name in {each.name for each in collection.listed()}:
+        return None
+    return _sequence_file(name)
 
 
 def at_rate(sequence: Sequence, fps: int) -> Sequence:
@@ -99,9 +115,21 @@ def tracked_frames(trial: Trial) -> range:
     return range(trial.first + trial.every, last + 1, trial.every)
 
 
-def _under_data(name: str) -> list[str]:
+def _place(name: str) -> str | None:
+    """The path that a name is, by itself or under DDAKF_DATA; with the part behind a ``#``."""
     root = os.environ.get("DDAKF_DATA")
-    return [str(Path(root, name))] if root else []
+    places = (name, str(Path(root, name))) if root else (name,)
+    return next((place for place in places if Path(place.partition("#")[0]).exists()), None)
+
+
+def _training() -> list[str]:
+    return sorted(path.stem for path in data.TRAINING.glob("*.npz"))
+
+
+def _sequence_file(name: str) -> Path | None:
+    folder = _folder()
+    file = folder and folder / f"{name}.npz"
+    return file if file and file.is_file() else None
 
 
 def _faust() -> Path | None:

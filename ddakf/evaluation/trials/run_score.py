@@ -16,6 +16,12 @@ FIRST_FRAMES, LAST_FRAMES = 59, 10  # tracked frames of the means "first60" (fra
 NOT_AVERAGED = ("cpu_ms", "wall_ms", "state")  # their percentiles are reported instead, or they have no mean
 
 
+def require_finite(vertices: np.ndarray, number: int) -> None:
+    """Raises ArithmeticError unless all coordinates are finite, in the frame of this number."""
+    if not np.isfinite(vertices).all():
+        raise ArithmeticError(f"vertices that are not finite in frame {number}")
+
+
 class RunScore:
     """Scores of a run's frames against the truth.
 
@@ -42,15 +48,14 @@ class RunScore:
         Args:
             number: of the frame in the recording.
             estimate: of the method.
-            cpu_seconds: of this thread, for the step.
+            cpu_seconds: of the processor, for the step.
             wall_seconds: of the step.
 
         Raises:
             ArithmeticError: vertices that are not finite.
         """
         truth, vertices = self._sequence.garment_vertices[number], np.asarray(estimate.vertices, np.float64)
-        if not np.isfinite(vertices).all():
-            raise ArithmeticError(f"vertices that are not finite in frame {number}")
+        require_finite(vertices, number)
         self.numbers.append(number)
         self._estimates.append(vertices.astype(np.float32))
         values = {

@@ -144,9 +144,8 @@ def _frames(trial: Trial) -> Iterator[CapturedFrame]:
     def undisturbed() -> Iterator[CapturedFrame]:
         for number in tracked_frames(trial):
             points, origin = _cloud(trial.sequence, number, trial.seed, sensor)
-            given = points, origin, sequence.body_vertices[number] if trial.body else None
-            copies = (None if array is None else array.copy() for array in given)  # a method may change what it gets
-            yield CapturedFrame(number, sequence.timestamp(number), *copies)
+            body = sequence.body_vertices[number] if trial.body else None
+            yield CapturedFrame(number, sequence.timestamp(number), points, origin, body).copy()
 
     return (frame for frame, _ in _script(trial).apply(undisturbed(), trial.seed))
 
@@ -182,9 +181,9 @@ def _track(trial: Trial) -> RunScore:
     sequence, step = find_recording(trial.sequence), _started_method(trial)
     record = RunScore(Mesh(sequence.template, sequence.garment_faces), sequence, surfaces=trial.surfaces)
     for frame in _frames(trial):
-        wall, cpu = time.perf_counter(), time.thread_time()
+        wall, cpu = time.perf_counter(), time.process_time()
         estimate = step(frame)
-        record.add(frame.number, estimate, time.thread_time() - cpu, time.perf_counter() - wall)
+        record.add(frame.number, estimate, time.process_time() - cpu, time.perf_counter() - wall)
     if trial.surfaces:
         record.memory_mib = _memory(step, replace(frame, timestamp=frame.timestamp + trial.every / sequence.fps))
     return record

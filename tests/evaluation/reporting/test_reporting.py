@@ -323,6 +323,20 @@ def test_where_another_system_is_better_it_stands_in_the_table_of_what_is_not_wo
     assert lost.heads[3:] == ["RMSE, mm"]
 
 
+def test_a_sequence_on_which_ddakf_failed_is_not_won():
+    found = result({"icp": [run(3.0)], "ddakf": [run(2.0)]})
+    next(cell for cell in found.cells if cell["method"] == "ddakf").update(runs=[], mean=None, failed="LinAlgError: singular")
+    table = paper_tables.behind("b", "b", found, ["rmse_mm"])
+    assert [cell.text for cell in table.rows[0]][3:] == ["ICP, non-rigid point-to-plane: 3.0, none"]
+    assert table.notes[-1] == "DD-AKF has no result of a full: LinAlgError: singular."
+
+
+def test_times_of_other_commits_and_machines_are_named():
+    kept, other = run(2.0, "new") | {"times_commit": "old", "cpu": "A"}, run(3.0, "new") | {"cpu": "B"}
+    mixed = result({"icp": [other], "ddakf": [kept]}).mixed_runs
+    assert mixed == "main.json has times of earlier commits: old (ddakf); times of A and B."
+
+
 def headline_of(errors: dict[str, list[float]], view: str = "front+body") -> read.Result:
     """A study whose methods have these errors, one per sequence."""
     cells = [
@@ -357,6 +371,21 @@ def test_a_baseline_that_lacks_a_sequence_is_not_the_best():
     found = headline_of({"icp": [3.0, 3.0], "nicp": [8.0, 8, 8], "ddakf": [4.0, 4, 4]})
     assert headline.best_baseline(found, "front+body")[0] == "nicp"
     assert headline.best_of_each_ratio(found, "front+body") == pytest.approx((0.75 * 0.75 * 2.0) ** (1 / 3))
+
+
+def test_a_mean_of_fewer_sequences_is_marked_and_not_the_best():
+    found = headline_of({"icp": [3.0, 3.0], "nicp": [8.0, 8, 8], "ddakf": [4.0, 4, 4]})
+    found.cells.append(found.cells[0] | {"sequence": "s2", "runs": [], "mean": None, "failed": "ValueError: no"})
+    table = headline.table(found)
+    assert [(row[1].text, row[1].kind) for row in table.rows[:3]] == [("3.0*", ""), ("8.0", ""), ("4.0", "best")]
+    assert any(note.endswith("ValueError: no") for note in table.notes)
+    assert headline.FEWER in table.notes
+
+
+def test_a_condition_without_any_rival_has_no_better_one():
+    found = headline_of({"ddakf": [4.0, 5.0], "nicp": [8.0]})
+    assert headline.better_baselines(found, "front+body") == {}
+    assert headline.table(headline_of({"ddakf": [4.0]})).rows[0][1].kind == "best"
 
 
 def test_the_headline_names_the_sequences_on_which_a_baseline_is_better():

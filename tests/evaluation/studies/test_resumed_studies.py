@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,14 +16,17 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
+from ddakf import data
 from ddakf.commands import cli
-from ddakf.errors import InvalidFile
+from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation import machine
 from ddakf.evaluation.studies import worker_processes
 from ddakf.evaluation.studies.execution import execute, run_study
 from ddakf.evaluation.studies.row_log import RowLog
-from ddakf.evaluation.trials import methods
-from tests.evaluation.studies.small import QUIET, SMALL, Frozen, plan
+from ddakf.evaluation.trials import inputs, methods
+from ddakf.evaluation.trials.recordings import find_recording
+from ddakf.files import io
+from tests.evaluation.studies.small import QUIET, SMALL, Broken, Frozen, plan
 
 pytestmark = pytest.mark.slow
 
@@ -121,6 +125,51 @@ def test_runs_that_are_made_again_keep_their_times_where_asked(systems, tmp_path
     (cell,) = run_study(plan("frozen"), out, 1, QUIET, again=["frozen"])["results"]
     assert cell["runs"][0]["ms_per_frame"] < 7000.0
     assert "times_commit" not in cell["runs"][0]
+
+
+def test_a_run_that_fails_does_not_lose_the_times_that_are_kept(systems, tmp_path, code, monkeypatch):
+    out = tmp_path / "out.json"
+    code("old")
+    (first,) = run_study(plan("frozen"), out, 1, QUIET)["results"][0]["runs"]
+    code("new")
+    with monkeypatch.context() as patch:
+        patch.setattr(Frozen, "step", Broken.step)
+        (cell,) = run_study(plan("frozen"), out, 1, QUIET, again=["frozen"], keep_times=True)["results"]
+        assert "singular" in cell["failed"]
+    (again,) = run_study(plan("frozen"), out, 1, QUIET, again=["frozen"], keep_times=True)["results"][0]["runs"]
+    assert (again["times_commit"], again["ms_per_frame"]) == ("old", first["ms_per_frame"])
+
+
+def test_a_study_in_which_nothing_applies_is_repeated(systems, tmp_path):
+    out = tmp_path / "out.json"
+    first = run_study(plan("absent"), out, 1, QUIET)
+    (tmp_path / "out.rows.jsonl").unlink()
+    assert run_study(plan("absent"), out, 1, QUIET)["results"] == first["results"]
+
+
+@pytest.mark.recordings
+def test_a_recording_under_the_data_folder_that_was_replaced_is_run_again(systems, tmp_path, monkeypatch):
+    monkeypatch.setenv("DDAKF_DATA", str(tmp_path))
+    (tmp_path / "sequences").mkdir()
+    first, second = sorted(data.TRAINING.glob("*.npz"))[:2]
+    mine, short = tmp_path / "sequences/mine.npz", replace(plan("frozen"), sequences=("mine",))
+    errors = []
+    for source in (first, first, second):
+        shutil.copy(source, mine)
+        for cached in (find_recording, inputs._recording):
+            cached.cache_clear()
+        said = Console(file=StringIO(), width=200)
+        errors.append(run_study(short, tmp_path / "out.json", 1, said)["results"][0]["mean"]["rmse_mm"])
+    assert "1 runs are made again" in said.file.getvalue()
+    assert errors[0] == errors[1] != errors[2]
+
+
+def test_a_result_does_not_lie_in_a_recording(systems, tmp_path):
+    io.write_mesh(tmp_path / "template.obj", data.sample().garment_vertices[0], data.sample().garment_faces)
+    for number in range(5):
+        io.write_points(tmp_path / f"{number}.xyz", data.sample().garment_vertices[number])
+    with pytest.raises(InvalidArgument, match="json: expected a file outside of"):
+        run_study(replace(plan("frozen"), sequences=(str(tmp_path),)), tmp_path / "out.json", 1, QUIET)
 
 
 def test_uncommitted_code_is_not_known_to_be_the_same_and_what_did_not_apply_may_now(systems, tmp_path, code):

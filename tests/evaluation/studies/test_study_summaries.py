@@ -54,6 +54,13 @@ def test_a_system_whose_runs_failed_has_lost_them():
     assert (kept["rivals"], kept["lost"]) == (["icp"], [])
 
 
+def test_a_sequence_that_one_system_alone_has_is_counted_as_dropped():
+    ours = [row("ddakf", 1, [1.0], name) for name in "abc"]
+    other = [row("icp", 1, [2.0], name) for name in "ab"]
+    test = study_summary.summarise(ours + other, {})["p_values"]["all"]["rmse_mm"]["comparisons"]["icp"]
+    assert (test["n"], test["dropped"]) == (2, 1)
+
+
 def test_clips_of_one_faust_subject_are_one_unit():
     names = [f"faust_s{subject}_p{pose}" for subject in (0, 1) for pose in (2, 3, 4)]
     rows = [row(system, 1, [error], name) for name in names for system, error in (("ddakf", 1.0), ("icp", 2.0))]

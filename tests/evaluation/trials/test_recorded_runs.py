@@ -75,6 +75,32 @@ def test_who_follows_has_no_residual_and_who_stands_still_has_the_motion():
     assert frozen["clips"] == [{"first": 3, "frames": 3} | still]
 
 
+def test_what_a_method_does_to_its_input_or_its_answer_later_does_not_count():
+    def centring(garment, start, body):
+        answer = np.array(start)
+
+        def step(frame):
+            answer[:] = start + frame.number * UP
+            frame.points[:] -= frame.points.mean(axis=0)
+            return FrameEstimate(answer)
+
+        return step
+
+    kept = recording_row(method(lambda start, frame: start + frame.number * UP), Rising(), range(1, 5), Sensor(), 1)
+    changing = recording_row(centring, Rising(), range(1, 5), Sensor(), 1)
+    for name in ("residual_mm", "own_flicker_mm", "drift_mm"):
+        assert changing[name] == kept[name]
+    target = Cloud(POINTS.astype(np.float32), np.zeros(3))
+    pair_row(centring, Pair("pair", MESH, SQUARE[:2], np.zeros((2, 3)), target, 2.0))
+    assert np.array_equal(target.points, POINTS.astype(np.float32))
+
+
+def test_an_estimate_that_is_not_finite_fails_the_run():
+    torn = method(lambda start, frame: start * (np.nan if frame.number == 2 else 1.0))
+    with pytest.raises(ArithmeticError, match="not finite in frame 2"):
+        recording_row(torn, Rising(), range(1, 5), Sensor(), 1)
+
+
 def test_a_mesh_torn_to_the_points_is_betrayed_by_its_stretch():
     torn = recording_row(method(lambda start, frame: 2 * SQUARE + frame.number * UP), Rising(), range(1, 6), Sensor(), 1)
     assert torn["residual_mm"] == pytest.approx(0, abs=1e-4)
