@@ -82,7 +82,7 @@ MOVED = {  # part and field of the configuration before 19, and since
     ("associate", "sighting"): ("associate", "visibility_motion"),
 }
 LARGEST = 3.0  # of the logarithm of a stretch
-SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
+SEEN = {"mean": -math.inf, "weight": 0.0, "registered2": 1e-12, "noise2": 0.0}  # of the appearance, at least
 FOUND = ("origin", "shift", "information", "vector")  # of the sensors
 
 
@@ -264,11 +264,12 @@ def _appearance(tracker, arrays: dict[str, np.ndarray]) -> Appearance | None:
     fresh = colour.start(tracker._setup.model, tracker.config.colour)
     found = {name: arrays[f"appearance_{name}"] for name in SEEN}
     for name, array in found.items():
-        model, least = getattr(fresh, name), 0.0 if name == "weight" else -math.inf if name == "mean" else 1e-12
+        model, least = getattr(fresh, name), SEEN[name]
         finite = np.isfinite(array) | (name == "registered2")  # infinite where nothing was learned
         if array.shape != model.shape or array.dtype != model.dtype or not (finite & (array >= least)).all():
             what = f"finite {model.dtype} of shape {model.shape}"
             raise InvalidSnapshot(f"snapshot.appearance_{name}", what, f"{array.dtype} {array.shape}")
+    found["noise2"] = np.maximum(found["noise2"], colour.LEAST_NOISE2)
     return fresh._replace(**found)
 
 

@@ -10,8 +10,21 @@ from hypothesis import strategies as st
 from ddakf import Config, Mesh, Tracker
 from ddakf.errors import FrameTooCostly, InvalidArgument, InvalidFrame, InvalidMesh
 from ddakf.planning.clock import Clock
-from tests.stages.scenes import FPS, inner_body, scan, tube
-from tests.tracker_runs import ACCELERATED, BODY, EYE, TUBE, assert_finite, assert_same, cloud, swaying, tracked
+from tests.stages.scenes import FPS, inner_body, rms, scan, tube, turn
+from tests.tracker_runs import (
+    ACCELERATED,
+    BODY,
+    EYE,
+    SAMPLE,
+    SHIRT,
+    TUBE,
+    WEARER,
+    assert_finite,
+    assert_same,
+    cloud,
+    swaying,
+    tracked,
+)  # fmt: skip
 
 # Bad input ----------------------------------------------------------------------------------------------------------
 
@@ -164,6 +177,39 @@ def test_a_reset_in_between_finds_the_body_where_the_garment_is(away):
     for place in (np.array(away), np.zeros(3)):
         tracker.reset(TUBE.vertices + place)
         np.testing.assert_allclose(tracker._track.body.vertices, BODY.vertices + place, atol=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [0, 180])
+def test_a_reset_to_where_the_wearer_is_now_is_not_carried_there_again(degrees):
+    """The body has moved since its last pose, of which a reset knows nothing."""
+    start, worn = SAMPLE.garment_vertices.astype(float), SAMPLE.body_vertices.astype(float)
+    middle = start[0].mean(axis=0)
+
+    def moved(vertices):
+        return (vertices - middle) @ turn(degrees).T + middle + [0.3, 0.0, 0.0]
+
+    tracker = Tracker(SHIRT, body=WEARER)
+    tracker.reset(start[0])
+    tracker.step(scan(start[1], SHIRT), timestamp=1 / FPS, body_vertices=worn[1])
+    tracker.reset(moved(start[1]))
+    points, eye = scan(moved(start[2]), SHIRT), moved(middle + [0.0, 0.0, 3.0])
+    seen = points[(points - moved(middle)) @ (eye - moved(middle)) > 0]
+    result = tracker.step(seen, timestamp=5.0, sensor_origin=eye, body_vertices=moved(worn[2]))
+    assert rms(result.vertices - moved(start[2])) < 0.01
+    assert np.linalg.norm(result.velocities, axis=1).max() < 2.0
+
+
+def test_where_the_body_was_before_the_first_frame_is_no_speed():
+    """A template lies in its file's place, and its wearer stands three metres away."""
+    away = np.array([3.0, 0.0, 0.0])
+    tracker = Tracker(SHIRT, body=WEARER)
+    for k in range(3):
+        points = scan(SAMPLE.garment_vertices[0] + away, SHIRT, seed=k)
+        pose = None if k == 1 else SAMPLE.body_vertices[0] + away
+        result = tracker.step(points, timestamp=k / FPS, body_vertices=pose)
+        assert rms(result.vertices - SAMPLE.garment_vertices[0] - away) < 0.01
+        assert np.linalg.norm(result.velocities, axis=1).mean() < 1.0
+        assert rms(tracker.predicted(result, 1 / FPS).vertices - result.vertices) < 0.03
 
 
 # Any finite input ---------------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ GATE = -2.0 * log(0.001)  # chi-square of two chromaticities at 99.9 %, beyond w
 KNOWN = 1e-6  # m^2, least variance at which a patch is learned
 BEST = 0.1  # quantile of the variances of the patches, which the whole garment shares
 SIDEWAYS = 1.5  # by which a start is farther off along the surface than across it
+LEAST_NOISE2 = 1e-5  # of a chromaticity's variance: the noise of one grey level in a bright colour
 STILL = 0.1  # texels: a vertex that moved less keeps its registration
 
 
@@ -178,7 +179,7 @@ def learned(problem: Problem, estimate: Estimate, posterior: Posterior, reliabil
     noise2 = appearance.noise2
     if squares[CHANNELS] > 0:
         share = config.noise_memory
-        noise2 = share * noise2 + (1.0 - share) * squares[:CHANNELS] / squares[CHANNELS]
+        noise2 = np.maximum(share * noise2 + (1.0 - share) * squares[:CHANNELS] / squares[CHANNELS], LEAST_NOISE2)
     return appearance._replace(mean=mean, weight=weight, registered2=registered2, noise2=noise2)
 
 

@@ -21,7 +21,7 @@ from ddakf.body import contact
 from ddakf.config import Anchor, Config
 from ddakf.garment import geodesic
 from ddakf.kernels.normals import vertex_normals
-from ddakf.types import BodyAnchor, Bound, Model, Planes, Problem, Setup
+from ddakf.types import BodyAnchor, Bound, Model, Planes, Problem, Setup, Track
 
 TOP = 0.05  # m below the highest vertex, or of cloth below it, that are a garment's top
 UNKNOWN = 1e6  # m^2, variance of what is not measured
@@ -40,6 +40,15 @@ def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
     measured = np.zeros(len(position), bool)
     across = np.zeros(n) if lying else None
     return BodyAnchor(bound, np.zeros(n), np.zeros(n), measured, _first_guess(setup, bound), np.square(slip), held, across)
+
+
+def placed(setup: Setup, track: Track, pose: np.ndarray) -> Track:
+    """The track before the first frame, in which the body has a (B, 3) ``pose``, metres; see :func:`contact.placed`."""
+    position = track.state.position
+    body = contact.placed(setup.body, track.body, position, pose, setup.config.physics)
+    if body is track.body:
+        return track
+    return track._replace(body=body, anchor=track.anchor and start(setup, body.vertices, position))
 
 
 def _lies_on_shoulders(model: Model, up: np.ndarray) -> bool:

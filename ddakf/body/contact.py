@@ -13,6 +13,8 @@ from ddakf.types import BodyModel, BodyPose, BodyTrack, Bound, Contacts, Estimat
 MOTION_LASTS = 0.1  # s, time constant with which the motion of a body without a new pose ends
 SHORTEST = 1.0 / 60.0  # s: over less, velocities are those of the scatter of poses and timestamps
 LONGEST_UNPOSED = 0.3  # s after which the pose of such a body is unknown
+FASTEST = 10.0  # m/s: a body that seems to have moved faster before the first frame was elsewhere at the start
+ELSEWHERE = 0.25  # how badly a garment lies around a pose over another, below which it starts in that pose
 FEW = 0.02  # of the vertices: as many that are seen inside say as much of the body's error as a first guess
 
 
@@ -46,6 +48,17 @@ def start(body: BodyModel, position: np.ndarray, config: Physics, known: BodyTra
         last = track._replace(vertices=known.vertices.copy())
         track = min(track, last, key=lambda pose: _off(posed(body, pose), position))
     return track._replace(gap=_first_gap(posed(body, track), position, config)) if config.gap_time > 0 else track
+
+
+def placed(body: BodyModel, track: BodyTrack, position: np.ndarray, vertices: np.ndarray, config: Physics) -> BodyTrack:
+    """The body before the first frame, in whose pose it has (B, 3) ``vertices``, under a garment at (V, 3) ``position``, metres.
+
+    A garment that was laid where the wearer is now is not carried there once more.
+    """
+    now = track._replace(vertices=np.array(vertices, np.float64), contacts=None)
+    if _off(posed(body, now), position) >= ELSEWHERE * _off(posed(body, track), position):
+        return track
+    return now if track.gap is None else now._replace(gap=_first_gap(posed(body, now), position, config))
 
 
 def _off(pose: BodyPose, position: np.ndarray) -> float:
@@ -232,6 +245,8 @@ def learned(problem: Problem, estimate: Estimate, position: np.ndarray) -> BodyT
     motion, unposed = _motion(problem)
     velocity = None if problem.carried is None else _mean_velocity(track.velocity, problem.carried, track.span, problem.dt)
     present, turn, span = pose is not None, track.turn + 1, _remembered(problem.dt) * track.span + problem.dt
+    if velocity is not None and problem.last.time is None and np.square(velocity).sum(axis=1).mean() > FASTEST**2:
+        velocity, motion, span = np.zeros_like(velocity), None, 0.0
     return BodyTrack(vertices, present, velocity, estimate.contacts, gap, turn, motion, unposed, span, intruded)
 
 

@@ -177,6 +177,11 @@ def turn_between(first: np.ndarray, second: np.ndarray) -> float:
     return math.atan2(float(z @ u - x @ w), float(x @ u + z @ w))
 
 
+def turned(vertices: np.ndarray, angle: float) -> np.ndarray:
+    """(V, 3) vertices, metres, turned about the vertical by so many radians."""
+    return vertices @ _about_vertical(angle).T
+
+
 def _initial(surface: Surface, target: Target, heading: float) -> CandidatePose:
     """The pose of a heading in which the middles of the cloud and of the garment's visible side coincide."""
     rotation, middle = _about_vertical(heading), np.median(target.points, axis=1)

@@ -24,6 +24,7 @@ from ddakf.search.candidate_poses import (
     distances,
     negative_log_posterior,
     turn_between,
+    turned,
 )
 from ddakf.search.nonrigid_registration import NO_ORIGIN, NO_SURFELS, Target, register, rows
 from ddakf.stages import skin_removal
@@ -31,6 +32,7 @@ from ddakf.stages.grid import spread_rows
 from ddakf.types import Drift, FrameInput, Health, Problem, Rival, State
 
 MOST_ROUNDS = 32  # of the search interval between searches, however long the garment has not been found
+LONGEST_WAIT = 5.0  # s between them, however far the frames are apart
 ON_BODY = 0.2  # m, mean distance from the body of a garment that is on it, at most
 LEAST_SEEN = 0.25  # of the vertices that face a sensor; a garment of which less is seen is not where it was predicted
 OUT_OF_SIGHT = -1.0  # cost of staying of a garment that something hides: there is nothing to judge it by
@@ -60,9 +62,10 @@ def locate(problem: Problem) -> Problem:
     health = health._replace(postponed=False)
     problem = problem._replace(health=health)
     turn = config.start.to_y_up  # the search turns garments about y
-    shapes = [problem.motion_start]  # the last shape and not the predicted one: over a gap velocities tear it
+    shapes = [problem.motion_start @ turn.T]  # the last shape and not the predicted one: over a gap velocities tear it
     if (health.unplaced and health.state != "initializing") or after_gap:
-        shapes.append(stretched(model.mesh.vertices, problem.last.size))
+        template = stretched(model.mesh.vertices, problem.last.size) @ turn.T
+        shapes.append(turned(template, turn_between(template, shapes[0])))  # its file says nothing of where the wearer faces
     frame = segmentation.of_garment_colors(problem.frame, problem)
     margin = config.skin_removal.cloth_distance
     staying = _cost_of_staying(skin_removal.remove_skin(frame, problem, prior.position, margin), problem)
@@ -78,7 +81,6 @@ def locate(problem: Problem) -> Problem:
     frame, search = _search(frame, problem)
     if len(frame.points) < config.start.least_points:
         return problem
-    shapes = [shape @ turn.T for shape in shapes]
     found, cost, rival = _best(shapes, search, heading)
     if cost > rule.in_place_cost:
         problem = problem._replace(overturned=_overturned(shapes[-1], search, heading))
@@ -183,7 +185,8 @@ def _searchable(problem: Problem) -> bool:
 def search_due(health: Health, config: Relocalization) -> bool:
     """Whether the frame is searched: a search takes as long as several frames, and a stream of nonsense must not stall."""
     rounds, rest = divmod(health.frames_unplaced, config.search_interval)
-    chosen = rounds & (rounds - 1) == 0 or rounds % MOST_ROUNDS == 0  # ever more rarely, and then regularly
+    longest = LONGEST_WAIT / max(config.search_interval * health.spacing, LONGEST_WAIT / MOST_ROUNDS)
+    chosen = rounds & (rounds - 1) == 0 or rounds % max(int(longest), 1) == 0  # ever more rarely, and then regularly
     return health.postponed or (health.unplaced and rest == 0 and chosen)
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.body import contact
+from ddakf.body import body_anchor, contact
 from ddakf.config import ConstantAcceleration, ConstantVelocity
 from ddakf.kernels import predict as kernels
 from ddakf.kernels.predict import CovarianceBlocks
@@ -32,6 +32,8 @@ def begin(setup: Setup, last: Track, frame: FrameInput) -> Problem:
     state, body, carried = last.state, None, None
     if last.time is not None and last.health.spacing == 0.0:
         state = _of_second_frame(state, dt, setup.config.start.first_step)
+    if last.time is None and frame.body_vertices is not None:
+        last = body_anchor.placed(setup, last, frame.body_vertices)
     if setup.body is not None:
         vertices = contact.moved_on(setup.body, last.body, dt) if frame.body_vertices is None else frame.body_vertices
         if vertices is not None:

@@ -222,17 +222,16 @@ def advance(health: Health, outcome: Outcome, dt: float, config: Reliability | P
     if isinstance(config, PaperReliability):
         return worried if score < config.threshold else calm
     dt = min(dt, config.longest_frame)
+    unplaced = health.frames_unplaced + searchable if health.unplaced else 0
     if n_points == 0:
         # no points say nothing about the fit; only a long silence is a loss
-        unplaced = health.frames_unplaced + (searchable and health.unplaced)
-        health = health._replace(empty_for=health.empty_for + dt, frames_unplaced=unplaced)
+        health = health._replace(empty_for=health.empty_for + dt, frames_unplaced=unplaced or health.frames_unplaced)
         if health.empty_for >= config.lost_after_empty:
             return health._replace(state="lost")
         faded = health.state == "tracking" and score < config.recovery_below
         return health._replace(state="recovering", physics_lambda=config.recovery_lambda) if faded else health
     if rejected or coverage < config.lost_coverage:
         poor_for = health.poor_for + dt
-        unplaced = health.frames_unplaced + 1 if health.unplaced else 0
         if poor_for >= config.lost_after or health.state == "lost":
             # the search begins anew with the loss: what is sought then is more than the last shape
             return calm._replace(state="lost", poor_for=poor_for, frames_unplaced=unplaced if health.state == "lost" else 0)
@@ -240,5 +239,5 @@ def advance(health: Health, outcome: Outcome, dt: float, config: Reliability | P
         return worried._replace(state=state, poor_for=poor_for, frames_unplaced=unplaced)
     if score < config.doubt_below:
         # points are measured, but not where they should be: the garment is looked for, and is not yet lost
-        return worried._replace(doubtful=True, frames_unplaced=health.frames_unplaced + 1 if health.unplaced else 0)
+        return worried._replace(doubtful=True, frames_unplaced=unplaced)
     return worried if score < (config.recovery_above if health.state == "recovering" else config.recovery_below) else calm

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import ddakf
+from ddakf.appearance.colour import LEAST_NOISE2
 from ddakf.errors import InvalidFrame
 from ddakf.evaluation.sensors.texture import Texture
 from ddakf.kernels import colour as kernels
@@ -111,6 +112,22 @@ def test_a_snapshot_goes_on_to_the_bit():
     assert np.array_equal(a.vertices, b.vertices)
     assert np.array_equal(a.covariance, b.covariance)
     assert all(np.array_equal(*pair) for pair in zip(tracker._track.appearance, other._track.appearance, strict=True))
+
+
+def test_colours_without_noise_stay_measurements_with_some():
+    """As those of a grey camera, of which each channel is the same."""
+    tracker, grey = ddakf.Tracker(SHEET), None
+    for k in range(60):
+        points, colors = seen(Texture("print"), np.zeros(3), seed=k)
+        grey = np.repeat(colors[:, :1], 3, axis=1)
+        tracker.step(points, timestamp=k / 30, sensor_origin=ORIGIN, colors=grey)
+    assert (tracker._track.appearance.noise2 == LEAST_NOISE2).all()
+    restored = ddakf.Tracker.restore(tracker.snapshot())
+    result = restored.step(points, timestamp=9.0, sensor_origin=ORIGIN, colors=colors)
+    assert np.isfinite(result.covariance).all()
+    earlier = tracker._track.appearance._replace(noise2=np.full(2, 1e-20))  # of a version that had no least
+    tracker._track = tracker._track._replace(appearance=earlier)
+    assert (ddakf.Tracker.restore(tracker.snapshot())._track.appearance.noise2 == LEAST_NOISE2).all()
 
 
 def test_an_appearance_goes_to_another_mesh():

@@ -1,5 +1,6 @@
 """Resumed streams: after a lost connection and after a reconnect notice."""
 
+import asyncio
 import threading
 import time
 
@@ -95,25 +96,42 @@ def hanging(request, outage):
         end()
 
 
+def held(frames, struck):
+    """The frames, of which those after the second one come once the connection is lost: no result is on its way before."""
+    for k, frame in enumerate(frames):
+        if k == 2:
+            assert struck.wait(20)
+        yield frame
+
+
 def test_an_attempt_to_reconnect_that_hangs_gives_way_to_the_next_one(hanging, mesh, frames):
     line, hang = hanging
-    sequences = []
+    sequences, struck = [], threading.Event()
     with connect(line.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        for result in session.track(frames(6), timeout=1, on_notice=lambda _: None):
+        for result in session.track(held(frames(6), struck), timeout=1, on_notice=lambda _: None):
             sequences.append(result.sequence)
             if result.sequence == 2:
                 hang(4)
+                struck.set()
     assert sequences == [1, 2, 3, 4, 5, 6]
 
 
 async def test_so_it_does_in_the_asynchronous_client(hanging, mesh, frames):
     line, hang = hanging
-    sequences = []
+    sequences, struck = [], asyncio.Event()
+
+    async def camera():
+        for k, frame in enumerate(frames(6)):
+            if k == 2:
+                await asyncio.wait_for(struck.wait(), 20)
+            yield frame
+
     async with aconnect(line.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        async for result in session.track(frames(6), timeout=1, on_notice=lambda _: None):
+        async for result in session.track(camera(), timeout=1, on_notice=lambda _: None):
             sequences.append(result.sequence)
             if result.sequence == 2:
                 hang(4)
+                struck.set()
     assert sequences == [1, 2, 3, 4, 5, 6]
 
 

@@ -15,7 +15,7 @@ from ddakf.garment import model
 from ddakf.mesh import vertex_normals
 from ddakf.physics import rigidity
 from ddakf.search import relocalize
-from ddakf.search.relocalize import MOST_ROUNDS, _cost_of_staying, interrupted, locate, search_due
+from ddakf.search.relocalize import LONGEST_WAIT, MOST_ROUNDS, _cost_of_staying, interrupted, locate, search_due
 from ddakf.stages.predict import predict
 from ddakf.types import Drift, Health, State, Track
 from tests.search.test_candidate_poses import flat_tube
@@ -297,6 +297,22 @@ def test_after_a_loss_the_template_is_sought_however_wrong_the_shape_is():
     assert found.motion_start is found.prior.position
 
 
+@pytest.mark.parametrize("degrees", [0, 120, 180])
+def test_the_template_is_sought_as_the_wearer_faced_and_not_as_its_file_does(degrees):
+    """The last shape is torn, and stands turned to the template by these degrees."""
+    truth, middle = SHIRT.vertices, SHIRT.vertices.mean(axis=0)
+    faced = (truth - middle) @ turn(degrees).T + middle
+    torn, shapes = faced * [1.0, 1.3, 1.0], []
+    tracker = Tracker(SHIRT)
+    track, cloth = tracker._track, tracker._setup.model
+    problem = problem_of(cloth, prior_at(torn + 3.0), Config(), last=track, motion_start=torn, rotation=track.rotation)
+    problem = problem._replace(frame=frame_of(scan(faced, SHIRT)), health=Health(state="lost"), dt=DT)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(relocalize, "_best", lambda found, *_: shapes.extend(found) or (found[0], np.inf, None))
+        locate(problem)
+    assert rms(shapes[1] - shapes[1].mean(axis=0) - (faced - faced.mean(axis=0))) < 1e-6
+
+
 def test_the_search_can_be_switched_off_and_needs_enough_points():
     prior, far = prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE)
     assert located(prior, far, Health(), config=Start(search=False)).prior is prior
@@ -312,6 +328,9 @@ def test_a_fruitless_search_is_repeated_ever_more_rarely():
     assert (np.diff(due, 2) >= 0).all()
     due = [k for k in range(100_000) if search_due(Health(state="lost", frames_unplaced=k), RULE)]
     assert np.diff(due).max() == MOST_ROUNDS * RULE.search_interval, "who comes after an hour is found"
+    for fps in (1, 5, 15):
+        due = [k for k in range(10_000) if search_due(Health(state="lost", frames_unplaced=k, spacing=1 / fps), RULE)]
+        assert np.diff(due).max() / fps <= max(LONGEST_WAIT, RULE.search_interval / fps), "whatever the rate"
 
 
 def test_a_start_on_the_garment_is_tracked_from_the_first_frame():

@@ -332,6 +332,15 @@ def test_clouds_of_which_nothing_is_left_count_as_searched_and_empty_ones_do_not
     assert counts == [0, 1, 2, 2, 3], "the first of them still has a garment in view"
 
 
+@pytest.mark.parametrize("bad", [{"coverage": 0.0}, {"rejected": True}, {"score": 0.0}])
+def test_frames_too_sparse_to_be_searched_do_not_count_as_searched(bad):
+    health = Health(state="lost")
+    what = {"score": GOOD, "coverage": 0.5, "n_points": 20, "rejected": False} | bad
+    for searchable in (False, False, True, False):
+        health = advance(health, Outcome(**what, searchable=searchable), DT, CONFIG)
+    assert health.frames_unplaced == 1
+
+
 TRACKING = run(Health(), 0.1)
 BAD = [{"coverage": 0.03}, {"coverage": 0.0}, {"rejected": True}]
 
