@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import metadata
 
 import ddakf
@@ -43,7 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = _parser().parse_args(argv)
     try:
-        return arguments.run(arguments) or 0
+        with _ended_in_order():
+            return arguments.run(arguments) or 0
     except DdakfError as error:
         print(f"ddakf: {error}", file=sys.stderr)
         return FAILURE
@@ -58,9 +62,36 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         print(f"ddakf: {_what_to_install(arguments.command, error)}", file=sys.stderr)
         return FAILURE
+    except Ended as signalled:
+        return 128 + signalled.args[0]
     except KeyboardInterrupt:
         print("ddakf: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+class Ended(KeyboardInterrupt):
+    """A signal other than Ctrl-C ended the command; its number is the argument."""
+
+
+@contextmanager
+def _ended_in_order() -> Iterator[None]:
+    """SIGTERM and SIGHUP end a command as Ctrl-C does, so that it saves what it has, unless something else handles them."""
+    if threading.current_thread() is not threading.main_thread():  # only the main thread can set signal handlers
+        yield
+        return
+
+    def end(number: int, _frame) -> None:
+        raise Ended(number)
+
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    unhandled = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]  # nohup ignores SIGHUP
+    for number in unhandled:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in unhandled:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _parser() -> Parser:

@@ -21,7 +21,7 @@ from ddakf.errors import InvalidArgument
 
 PACKAGES = (
     "ddakf", "ddakf-api", "ddakf-client", "numpy", "scipy", "numba", "rich", "grpcio", "protobuf", "fastapi", "uvicorn",
-    "zstandard", "DracoPy", "pillow", "matplotlib", "open3d-cpu", "open3d", "torch", "ray",
+    "zstandard", "DracoPy", "mcap", "pillow", "matplotlib", "open3d-cpu", "open3d", "torch", "newton", "ray", "psycopg",
 )  # fmt: skip
 PORTS = {"gRPC": 7701, "HTTP": 7702}  # defaults of `ddakf serve`
 HTTP_PORT = PORTS["HTTP"]
@@ -126,8 +126,10 @@ def _open3d() -> str:
 def _kernel_cache() -> dict:
     from ddakf.kernels import cache
 
-    sizes = [path.stat().st_size for folder in cache.folders() for path in folder.iterdir() if path.is_file()]
-    return {"directory": str(cache.directory()), "files": len(sizes), "mebibytes": round(sum(sizes) / 2**20, 1)}
+    folders = cache.folders()
+    sizes = [path.stat().st_size for folder in folders for path in folder.iterdir() if path.is_file()]
+    places = ", ".join(dict.fromkeys(str(folder.parent) for folder in folders))
+    return {"directory": places or str(cache.directory()), "files": len(sizes), "mebibytes": round(sum(sizes) / 2**20, 1)}
 
 
 def _is_free(port: int) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -111,15 +112,30 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _report(arguments: argparse.Namespace, source, scores, album: _Album | None) -> None:
-    """Prints the summary, and writes what was asked for."""
+    """Writes what was asked for, and prints the summary. What cannot be written costs nothing else."""
+    failures = []
+    for wanted, save in (
+        (arguments.out, lambda: scores.save(arguments.out, source.vertex_map)),
+        (arguments.meshes, lambda: _save_meshes(arguments.meshes, scores)),
+        (album, lambda: album.save(source, arguments.picture, arguments.animation)),
+    ):
+        try:
+            if wanted:
+                save()
+        except OSError as error:  # that of a write has no name
+            name = error.filename or (wanted if isinstance(wanted, str) else arguments.picture or arguments.animation)
+            failures.append(OSError(error.errno, error.strerror, name))
     summary = scores.summary()
     print(json.dumps(summary)) if arguments.json else Console().print(table(source.title, summary))
-    if arguments.out:
-        scores.save(arguments.out, source.vertex_map)
-    if arguments.meshes:
-        scores.save_meshes(arguments.meshes)
-    if album:
-        album.save(source, arguments.picture, arguments.animation)
+    if failures:
+        raise failures[0]
+
+
+def _save_meshes(folder: str, scores) -> None:
+    written = set(scores.save_meshes(folder))
+    if others := [path for path in Path(folder).glob("*.obj") if path.stem.isdecimal() and path not in written]:
+        sentence = f"{folder}: {len(others)} other numbered meshes lie there, of another run"
+        Console(stderr=True).print(sentence, markup=False, soft_wrap=True)
 
 
 def table(title: str, summary: dict) -> Table:
@@ -187,31 +203,39 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
     if arguments.animation and not arguments.animation.lower().endswith((".gif", ".webp")):
         raise InvalidArgument("animation", "a name that ends in .gif or .webp", arguments.animation)
     inputs = {Path(given).resolve() for given in (arguments.path.partition("#")[0], arguments.path, arguments.template) if given}
+    outputs: set[Path] = set()
     for name in ("out", "picture", "animation"):
         path = getattr(arguments, name)
         if path and (Path(path).is_dir() or not Path(path).parent.is_dir()):
             raise InvalidArgument(name, "a file in a folder that exists", path)
+        if path and not os.access(path if Path(path).exists() else Path(path).parent, os.W_OK):
+            raise InvalidArgument(name, "a file that may be written", path)
+        if path and Path(path).resolve() in outputs:
+            raise InvalidArgument(name, "another file than the other results", path)
+        outputs |= {Path(path).resolve()} if path else set()
         if path and Path(path).resolve() in inputs:
             raise InvalidArgument(name, "another file than those that are tracked", path)
         if path and Path(path).exists() and any(given in Path(path).resolve().parents for given in inputs):
             raise InvalidArgument(name, "a file that does not exist yet in the folder that is tracked", path)
-    if arguments.meshes and not Path(arguments.meshes).is_dir():
-        raise InvalidArgument("meshes", "a folder that exists", arguments.meshes)
+    if arguments.meshes and not (Path(arguments.meshes).is_dir() and os.access(arguments.meshes, os.W_OK)):
+        raise InvalidArgument("meshes", "a folder that exists and may be written to", arguments.meshes)
     if arguments.meshes and Path(arguments.meshes).resolve() in inputs:
         raise InvalidArgument("meshes", "another folder than that of the frames", arguments.meshes)
-    if arguments.picture:
-        _require_picture_format(arguments.picture)
+    if arguments.picture or arguments.animation:
+        _require_formats(arguments.picture)
     if not arguments.server:
         for name in ("codec", *server_options.given(arguments)):
             if getattr(arguments, name) is not None:
                 raise InvalidArgument(name, "to be used with --server", "none of it")
 
 
-def _require_picture_format(path: str) -> None:
+def _require_formats(picture: str | None) -> None:
+    """Refuses a picture of an unknown format, and any picture where nothing paints them."""
     from ddakf.evaluation.drawing.pictures import writable_formats
 
-    if (suffix := Path(path).suffix.lower()) not in (known := writable_formats()):
-        raise InvalidArgument("picture", f"a name that ends in .png or another of {len(known)} formats", suffix or path)
+    known = writable_formats()
+    if picture and (suffix := Path(picture).suffix.lower()) not in known:
+        raise InvalidArgument("picture", f"a name that ends in .png or another of {len(known)} formats", suffix or picture)
 
 
 def _source(arguments: argparse.Namespace):
@@ -226,6 +250,8 @@ def _source(arguments: argparse.Namespace):
     recording = open_dataset(arguments.path, fps=FPS if arguments.fps is None else arguments.fps)
     if isinstance(recording, Sequence) and arguments.fps is not None:
         raise InvalidArgument("fps", "none for a sequence, which has its own", f"{arguments.fps:g}")
+    if arguments.fps is not None and (recording.times is not None or recording.fps != arguments.fps):
+        raise InvalidArgument("fps", "none for a recording that states its own", f"{arguments.fps:g}")
     if arguments.sensor_origin is not None:
         recording = _placed(recording, arguments.sensor_origin)
     unit = UNITS[arguments.unit or "m"]

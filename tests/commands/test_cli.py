@@ -4,6 +4,7 @@ import argparse
 import builtins
 import json
 import os
+import signal
 import subprocess
 import sys
 from importlib import metadata
@@ -68,6 +69,37 @@ def test_a_reader_that_has_enough_ends_a_command_quietly():
 def test_interrupts_are_status_130(command, capsys):
     assert command(_raises(KeyboardInterrupt())) == 130
     assert capsys.readouterr().err == "ddakf: interrupted\n"
+
+
+@pytest.mark.parametrize(("name", "saved"), [("SIGTERM", "saved\n"), ("SIGHUP", "saved\n")])
+def test_a_command_that_is_ended_by_a_signal_saves_what_it_has(name, saved):
+    code = f"""
+import os, signal, sys, time
+signal.signal(signal.{name}, signal.SIG_DFL)
+from ddakf.commands import cli
+
+def run(arguments):
+    try:
+        os.kill(os.getpid(), signal.{name})
+        time.sleep(20)
+    except KeyboardInterrupt:
+        print("saved")
+        raise
+
+cli._parser = lambda: type("P", (), {{"parse_args": lambda self, argv: type("A", (), {{"run": staticmethod(run)}})}})()
+sys.exit(cli.main([]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (128 + getattr(signal, name), saved, "")
+
+
+def test_a_signal_that_is_ignored_stays_ignored(command):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert command(lambda arguments: os.kill(os.getpid(), signal.SIGHUP)) == 0
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """``ddakf track`` from end to end on short runs: what it reports, what it writes, what it refuses."""
 
 import json
+import os
 import queue
 import re
 import sys
@@ -15,12 +16,13 @@ from PIL import Image
 from scipy.io import savemat
 
 import ddakf
-from ddakf.commands import cli
+from ddakf.commands import cli, track
 from ddakf.data import SAMPLE, sample
 from ddakf.evaluation.datasets import KINECT, open_dataset
 from ddakf.evaluation.metrics import rmse_mm
 from ddakf.evaluation.sensors import Camera, Sensor
 from ddakf.evaluation.tracking import replay
+from ddakf.evaluation.tracking.scoreboard import Scoreboard
 from ddakf.evaluation.tracking.server import Server
 from ddakf.evaluation.tracking.sources import source_of
 from ddakf.files import io
@@ -132,6 +134,60 @@ def test_the_garment_of_each_frame_is_written_as_a_mesh(capsys, tmp_path):
     vertices, faces = io.read_mesh(tmp_path / "0004.obj")
     assert vertices == pytest.approx(saved["vertices"][-1], abs=1e-6)
     assert (faces == saved["faces"]).all()
+
+
+def test_a_place_that_may_not_be_written_to_is_refused_before_the_run(capsys, monkeypatch, tmp_path):
+    """As on a medium that is mounted for reading."""
+    monkeypatch.setattr(os, "access", lambda path, mode: not str(path).startswith(str(tmp_path)))
+    for option, where in (("--out", tmp_path / "r.npz"), ("--picture", tmp_path / "p.png"), ("--meshes", tmp_path)):
+        assert _track(SAMPLE, *SHORT, option, where) == 2
+        captured = capsys.readouterr()
+        assert re.fullmatch(rf"ddakf: {option[2:]}: expected .* may be written.*, got {where}\n", captured.err)
+        assert captured.out == ""
+
+
+def test_meshes_of_another_run_are_told(capsys, tmp_path):
+    (tmp_path / "0007.obj").write_text("")
+    (tmp_path / "notes.obj").write_text("")
+    assert _track(SAMPLE, "--frames", "2:5", "--points", "3000", "--meshes", tmp_path) == 0
+    assert f"{tmp_path}: 1 other numbered meshes lie there" in capsys.readouterr().err.replace("\n", "")
+
+
+def test_results_are_saved_though_one_of_them_cannot_be_and_nobody_reads_the_summary(capsys, monkeypatch, tmp_path):
+    still = tmp_path / "p.png"
+
+    def unwritable(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Scoreboard, "save", unwritable)
+    assert _track(SAMPLE, *SHORT, "--out", tmp_path / "r.npz", "--picture", still) == 2
+    printed = capsys.readouterr()
+    assert "RMSE" in printed.out
+    assert printed.err.splitlines()[-1] == f"ddakf: {tmp_path / 'r.npz'}: No space left on device"
+    with Image.open(still) as picture:
+        assert picture.size[0] > 100
+    monkeypatch.undo()
+    monkeypatch.setattr(track, "table", _raise(SystemExit(1)))  # as Rich ends a program whose reader has gone
+    with pytest.raises(SystemExit):
+        _track(SAMPLE, *SHORT, "--out", tmp_path / "r.npz")
+    assert len(np.load(tmp_path / "r.npz")["vertices"]) == 4
+
+
+def _raise(error):
+    def work(*_):
+        raise error
+
+    return work
+
+
+def test_a_rate_is_not_given_where_the_recording_has_its_own(capsys, tmp_path):
+    for number in range(3):
+        io.write_mesh(tmp_path / f"{number}.obj", sample().garment_vertices[number], sample().garment_faces)
+    assert _track(tmp_path, "--fps", "15") == 0
+    (tmp_path / "timestamps.txt").write_text("0 0.1 0.2")
+    capsys.readouterr()
+    assert _track(tmp_path, "--fps", "15") == 2
+    assert capsys.readouterr().err == "ddakf: fps: expected none for a recording that states its own, got 15\n"
 
 
 def test_the_paper_runs_too(capsys):
@@ -249,6 +305,7 @@ def test_a_folder_has_the_origin_of_its_files_or_of_the_command_line(capsys, tmp
         ([SAMPLE, "--codec", "raw"], "codec"),
         ([SAMPLE, "--animation", "a.mp4"], "animation"),
         ([SAMPLE, "--out", "/nowhere/r.npz"], "out"),
+        ([SAMPLE, "--picture", "same.gif", "--animation", "same.gif"], "animation: expected another file than the other results"),
         ([SAMPLE, "--meshes", "/nowhere"], "meshes: expected a folder that exists"),
         ([SAMPLE, "--template", "t.ply"], "template"),
         ([SAMPLE, "--config", "up=z"], "config: expected a JSON object"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import os
 import shutil
 import sqlite3
 import stat
@@ -207,3 +208,21 @@ def test_a_service_that_stores_elsewhere_is_told_how(tmp_path, capsys, monkeypat
     said = capsys.readouterr().err
     assert "its own tools" in said
     assert "secret" not in said
+
+
+def test_an_archive_goes_where_a_link_leads_and_over_no_device(tmp_path, capsys):
+    data, elsewhere = tmp_path / "data", tmp_path / "disk"
+    data.mkdir()
+    elsewhere.mkdir()
+    with contextlib.closing(sqlite3.connect(data / "ddakf.sqlite")) as database:
+        database.execute("CREATE TABLE t (x)")
+    link, pipe = tmp_path / "b.tar", tmp_path / "pipe"
+    link.symlink_to(elsewhere / "b.tar")
+    os.mkfifo(pipe)
+    assert cli.main(["backup", str(link), "--data-dir", str(data)]) == 0
+    assert link.is_symlink()
+    assert tarfile.is_tarfile(elsewhere / "b.tar")
+    capsys.readouterr()
+    assert cli.main(["backup", str(pipe), "--data-dir", str(data)]) == 2
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert capsys.readouterr().err == f"ddakf: file: expected a file in a folder that exists, got {pipe}\n"

@@ -46,6 +46,13 @@ def test_the_sample_is_tracked_from_plain_files(client, tmp_path, capsys, view):
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["frames"] == FRAMES
 
 
+def test_a_shorter_export_leaves_no_frames_of_a_longer_one(tmp_path):
+    for count in (3, 2):
+        assert cli.main(["demo", "--export", str(tmp_path), "--frames", str(count)]) == 0
+    assert sorted(path.name for path in (tmp_path / "points").iterdir()) == ["0000.ply", "0001.ply"]
+    assert len(list((tmp_path / "truth").iterdir())) == len(list((tmp_path / "body").iterdir())) == 2
+
+
 def test_a_wrong_number_of_frames_writes_nothing(tmp_path, capsys):
     assert cli.main(["demo", "--export", str(tmp_path / "new"), "--frames", "0"]) == 2
     assert "frames: expected a number from 1 to 150, got 0" in capsys.readouterr().err

@@ -52,6 +52,16 @@ def test_sessions_are_listed_shown_and_deleted(sessions, api, sheet):
             api.get(f"sessions/{name}")
 
 
+def test_sessions_are_deleted_though_some_are_not_there(sessions, api, sheet, capsys):
+    first, second = (api.create(sheet).name.removeprefix("sessions/") for _ in range(2))
+    assert sessions("delete", first, "nobody", second, "nor-this", status=2).splitlines() == [
+        "ddakf: there is no session 'sessions/nobody'", "ddakf: there is no session 'sessions/nor-this'",
+    ]  # fmt: skip
+    for name in (first, second):
+        with pytest.raises(SessionNotFound):
+            api.get(f"sessions/{name}")
+
+
 def test_the_history_has_the_frames_of_an_ended_session(sessions, api, sheet):
     name = api.create(sheet).name
     list(api.track(name, [request_of(frame_of(sheet, i)) for i in (1, 2, 3)]))

@@ -12,18 +12,17 @@ from ddakf.errors import DdakfError
 DEFAULT_SERVER = "127.0.0.1:7701"
 
 
-def add_options(parser: argparse.ArgumentParser, *, repeated: bool = False) -> None:
+def add_options(parser: argparse.ArgumentParser, *, repeated: bool = False, watching: str = "") -> None:
     """Adds the options of the connection, and ``--json``.
 
     Args:
         repeated: another parser of the same command has them with their defaults.
+        watching: what its help says of results that arrive one by one.
     """
     server, credentials, in_json = (argparse.SUPPRESS,) * 3 if repeated else (DEFAULT_SERVER, None, False)
     meaning = f"gRPC address (default {DEFAULT_SERVER})"
     server_options.add(parser, server=server, meaning=meaning, default=credentials)
-    parser.add_argument(
-        "--json", action="store_true", default=in_json, help="JSON instead of a table; a line per result of `watch`"
-    )
+    parser.add_argument("--json", action="store_true", default=in_json, help="JSON instead of a table" + watching)
 
 
 def connected(arguments: argparse.Namespace, run: Callable[..., None]) -> int:

@@ -6,6 +6,7 @@ import argparse
 import importlib
 import importlib.util
 import math
+import sys
 import time
 
 from ddakf.commands.remote.calls import add_options, connected, print_json, result_line
@@ -44,16 +45,24 @@ def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
 
 def record(client, arguments: argparse.Namespace) -> None:
     """Records a session, with a line per second."""
-    session = client.open_session(arguments.id)
-    said = -_PROGRESS_INTERVAL
+    session, package = client.open_session(arguments.id), _package()
+    said, count = -_PROGRESS_INTERVAL, 0
 
     def show(result) -> None:
-        nonlocal said
+        nonlocal said, count
+        count += 1
         if not arguments.json and time.monotonic() - said >= _PROGRESS_INTERVAL:
             said = time.monotonic()
             print(result_line(result), flush=True)
 
-    recorded = _package().record(session, arguments.file, seconds=arguments.seconds, frames=arguments.frames, on_result=show)
+    try:
+        recorded = package.record(session, arguments.file, seconds=arguments.seconds, frames=arguments.frames, on_result=show)
+    except _failure():
+        if count:
+            print(f"{arguments.file}: {count} frames, then the recording ended early", file=sys.stderr)
+        raise
+    except OSError as error:  # that of a write has no name
+        raise OSError(error.errno, error.strerror, error.filename or arguments.file) from None
     if arguments.json:
         print_json({"file": arguments.file, "frames": recorded.frames, "missing": recorded.missing})
     else:
@@ -72,6 +81,10 @@ def replay(client, arguments: argparse.Namespace) -> None:
         recording = package.load(arguments.file)
     except OSError as error:
         raise InvalidArgument("file", "a recording", f"{arguments.file}: {error.strerror}") from None
+    except _failure() as error:
+        if getattr(error, "field", None) != "path":
+            raise
+        raise InvalidArgument("file", error.expected, error.got) from None
     count, in_full, short, missing, states, largest, largest_in_full, applied = 0, 0, 0, 0, 0, 0.0, 0.0, 0
     for before, now in package.replay(client, recording):
         missing += max(before.applied - applied - 1, 0) if count else 0
@@ -95,6 +108,13 @@ def replay(client, arguments: argparse.Namespace) -> None:
         print("Missing: the session tracked these frames, and they are not in the file; from there on, results differ.")
     if largest_in_full > 0:
         print("Differences before: the session was reset or changed meanwhile, or the server has another version or processor.")
+
+
+def _failure() -> type[Exception]:
+    """What a call of a server, or a recording, raises."""
+    from ddakf.evaluation.tracking.server import client_package
+
+    return client_package("recordings").ServiceError
 
 
 def _package():

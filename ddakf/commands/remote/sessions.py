@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
+import sys
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -16,6 +17,7 @@ from ddakf.commands.remote.calls import add_options, connected, print_json, resu
 from ddakf.commands.tables import print_table
 from ddakf.errors import InvalidArgument
 
+_WATCHING = "; a line per result of `watch`"
 _NO_ARRAYS = 2**32 - 1  # only every n-th result has arrays
 _PROGRESS_INTERVAL = 1.0  # seconds between two lines of a watcher
 _SHOWN_SAMPLES = 40  # of a history, unless told otherwise
@@ -24,7 +26,7 @@ _SHOWN_SAMPLES = 40  # of a history, unless told otherwise
 def register(commands: argparse._SubParsersAction) -> None:
     """Adds the command to the parser."""
     parser = commands.add_parser("sessions", help="list, show, watch, record and delete the sessions of a server")
-    add_options(parser)
+    add_options(parser, watching=_WATCHING)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = _add(actions, "list", _list, "show all sessions that the key may read")
     listing.add_argument("--state", metavar="STATE", help="only sessions in this state: tracking, idle, lost, ...")
@@ -44,7 +46,7 @@ def register(commands: argparse._SubParsersAction) -> None:
 
 def _add(actions: argparse._SubParsersAction, name: str, run, text: str) -> argparse.ArgumentParser:
     parser = actions.add_parser(name, help=text)
-    add_options(parser, repeated=True)  # on either side of the action
+    add_options(parser, repeated=True, watching=_WATCHING if name == "watch" else "")  # on either side of the action
     parser.set_defaults(run=lambda arguments: connected(arguments, run))
     return parser
 
@@ -109,10 +111,22 @@ def _print_notice(notice) -> None:
 
 
 def _delete(client, arguments: argparse.Namespace) -> None:
+    """Deletes the sessions that there are, whatever becomes of the others."""
+    from ddakf.evaluation.tracking.server import client_package
+
+    deleted, failures, failed = [], [], client_package("sessions delete").ServiceError
     for session_id in arguments.id:
-        client.open_session(session_id).delete()
+        try:
+            client.open_session(session_id).delete()
+            deleted.append(session_id)
+        except failed as error:
+            failures.append(error)
     if arguments.json:
-        print_json({"deleted": arguments.id})
+        print_json({"deleted": deleted})
+    for error in failures[:-1]:
+        print(f"ddakf: {error}", file=sys.stderr)
+    if failures:
+        raise failures[-1]
 
 
 def _history(client, arguments: argparse.Namespace) -> None:

@@ -165,5 +165,7 @@ def read_one(path: Path) -> Result:
     try:
         content = json.loads(path.read_text())
         return Result(path.stem, content["meta"], content["results"], content["p_values"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except OSError as error:
+        raise InvalidFile(str(path), "the result of a study", error.strerror or "none") from error
+    except (ValueError, KeyError, TypeError) as error:
         raise InvalidFile(str(path), "the result of a study", f"{type(error).__name__}: {error}") from error

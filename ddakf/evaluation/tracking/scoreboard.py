@@ -114,10 +114,12 @@ class Scoreboard:
                 **repaired,
             )
 
-    def save_meshes(self, folder) -> None:
-        """Writes the garment of each frame, in metres, as ``NUMBER.obj`` into a folder that exists."""
-        for number, vertices in zip(self._numbers, self._vertices, strict=True):
-            write_mesh(Path(folder) / f"{number:04d}.obj", vertices, self._faces)
+    def save_meshes(self, folder) -> list[Path]:
+        """Writes the garment of each frame, in metres, as ``NUMBER.obj`` into a folder that exists; returns the files."""
+        paths = [Path(folder) / f"{number:04d}.obj" for number in self._numbers]
+        for path, vertices in zip(paths, self._vertices, strict=True):
+            write_mesh(path, vertices, self._faces)
+        return paths
 
 
 def _pooled(parts: list[np.ndarray]) -> np.ndarray:

@@ -17,6 +17,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import BinaryIO
 
+from ddakf_api.errors import first_line
+
 import ddakf
 from ddakf.errors import InvalidArgument, InvalidConfig, InvalidFile
 
@@ -40,9 +42,10 @@ def back_up(args: argparse.Namespace) -> int:
     folder = _data_folder(args)
     if not (folder / DATABASE).is_file():
         raise InvalidConfig("data_dir", "the folder of a service", f"{folder}, which has no {DATABASE}")
-    if not args.file.absolute().parent.is_dir():
+    target = args.file.resolve()  # what a link leads to
+    if not target.parent.is_dir() or (target.exists() and not target.is_file()):
         raise InvalidArgument("file", "a file in a folder that exists", str(args.file))
-    unfinished = args.file.with_name(args.file.name + UNFINISHED)
+    unfinished = target.with_name(target.name + UNFINISHED)
     try:
         with open(unfinished, "wb", opener=opener) as file, tarfile.open(fileobj=file, mode="w") as archive:
             _add(archive, ABOUT, io.BytesIO(json.dumps({"version": ddakf.__version__, "time": time.time()}).encode()))
@@ -51,7 +54,7 @@ def back_up(args: argparse.Namespace) -> int:
             counted = _add_folders(archive, folder)
             file.flush()
             os.fsync(file.fileno())
-        unfinished.replace(args.file)
+        unfinished.replace(target)
     finally:
         unfinished.unlink(missing_ok=True)
     print(f"{args.file}: the database, {counted['checkpoints']} checkpoints, {counted['meshes']} meshes", file=sys.stderr)
@@ -77,7 +80,7 @@ def restore(args: argparse.Namespace) -> int:
                     _extract(archive, member, unfinished, args.file)
                 _require_whole(unfinished / DATABASE, args.file)
     except tarfile.TarError as error:
-        raise InvalidFile(str(args.file), "an archive of `ddakf backup`", str(error)) from None
+        raise InvalidFile(str(args.file), "an archive of `ddakf backup`", first_line(error)) from None
     print(f"{folder}: restored; start the service with the server_id that it had", file=sys.stderr)
     return 0
 

@@ -59,8 +59,8 @@ def demonstrate(args: argparse.Namespace) -> int:
         clouds = _prepare(console, service, sequence, count, args.view)
         run = _stream(console, service.grpc, sequence, clouds)
         table = _summary(sequence, clouds, run)
-        _print_summary(console, table, args.json)
         _save_pictures(console, args, sequence, clouds, run)
+        _print_summary(console, table, args.json)
         done = True
     except ServiceFailed as error:
         console.print(f"ddakf demo: {error}", highlight=False, soft_wrap=True)

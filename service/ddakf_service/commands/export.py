@@ -17,6 +17,8 @@ from ddakf.files.io import write_mesh, write_points
 from ddakf.files.sequence import Sequence
 
 SEED = 7  # of the virtual camera
+_SEQUENCE = "sequence.json"
+_KINDS = {"points": "ply", "body": "ply", "truth": "json"}  # files of a frame, each in a folder of its own, and their endings
 _DIGITS = 5  # of a coordinate in metres: a hundredth of a millimetre
 
 _README = """The sample of ddakf: a T-shirt on a moving body, as a virtual depth camera sees it. Metres, seconds, y up. CC0 1.0.
@@ -36,7 +38,8 @@ answered vertices with the truth. The command line tracks the clouds alone: ddak
 def export(args: argparse.Namespace, count: int) -> int:
     """Writes the files of the first ``count`` frames and returns the exit status."""
     sequence, folder, rng = data.sample(), args.export, np.random.default_rng(SEED)
-    for name in ("points", "body", "truth"):
+    _remove_frames(folder)
+    for name in _KINDS:
         (folder / name).mkdir(parents=True, exist_ok=True)
     write_mesh(folder / "garment.obj", sequence.template, sequence.garment_faces)
     write_mesh(folder / "body.obj", sequence.body_vertices[0], sequence.body_faces)
@@ -47,16 +50,24 @@ def export(args: argparse.Namespace, count: int) -> int:
         for number in track(range(count), "writing frames", console=console)
     ]
     description = {"fps": sequence.fps, "garment": "garment.obj", "body": "body.obj", "frames": frames}
-    (folder / "sequence.json").write_text(json.dumps(description, indent=1) + "\n")
+    (folder / _SEQUENCE).write_text(json.dumps(description, indent=1) + "\n")
     print(json.dumps({"folder": str(folder), "frames": count}) if args.json else folder)
     return 0
+
+
+def _remove_frames(folder: Path) -> None:
+    """Removes the frames of an earlier export, of which there may be more."""
+    if (folder / _SEQUENCE).is_file():
+        for frame in json.loads((folder / _SEQUENCE).read_text())["frames"]:
+            for kind in _KINDS:
+                (folder / kind / Path(frame[kind]).name).unlink(missing_ok=True)
 
 
 def _write_frame(folder: Path, sequence: Sequence, number: int, cloud: Cloud) -> dict:
     """Writes one frame and returns its entry in ``sequence.json``."""
     points, sensors = _by_sensor(cloud)
     entry = {"capture_time": sequence.timestamp(number), "sensors": sensors}
-    files = {kind: f"{kind}/{number:04d}.{suffix}" for kind, suffix in (("points", "ply"), ("body", "ply"), ("truth", "json"))}
+    files = {kind: f"{kind}/{number:04d}.{suffix}" for kind, suffix in _KINDS.items()}
     write_points(folder / files["points"], points, cloud.sensor_origin if len(sensors) == 1 else None)
     write_points(folder / files["body"], sequence.body_vertices[number])
     (folder / files["truth"]).write_text(json.dumps({"vertices": _rounded(sequence.garment_vertices[number])}) + "\n")

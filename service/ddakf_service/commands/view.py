@@ -60,7 +60,7 @@ def _view_server(args: argparse.Namespace) -> int:
 def _view_file(args: argparse.Namespace) -> int:
     path = Path(args.file)
     if not path.is_file() or path.suffix.lower() not in RECORDING_SUFFIXES:
-        got = f"{path}: {'another ending' if path.is_file() else 'nothing there'}"
+        got = f"{path}: {'another ending' if path.is_file() else 'a folder' if path.is_dir() else 'nothing there'}"
         raise InvalidArgument("file", f"a file that ends in {' or '.join(RECORDING_SUFFIXES)}", got)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
     with tempfile.TemporaryDirectory(prefix="ddakf-view-") as folder:

@@ -17,7 +17,7 @@ import numpy as np
 from ddakf.body import proximity
 from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.datasets.captures.depth_template import JUMP, template_from_depth
-from ddakf.evaluation.datasets.formats.depth_files import load_camera, read_grey
+from ddakf.evaluation.datasets.formats.depth_files import load_camera, read_depth, read_grey
 from ddakf.evaluation.sensors.camera import Camera
 from ddakf.evaluation.sensors.captured_frame import Cloud
 from ddakf.files.depth import without_fliers
@@ -129,7 +129,7 @@ def read_scene_flow(path) -> np.ndarray:
 
 
 def _depth(path: Path) -> np.ndarray:
-    return read_grey(path) * MM
+    return read_depth(path) * MM
 
 
 def _near(camera: Camera, depth: np.ndarray, points: np.ndarray) -> Cloud:

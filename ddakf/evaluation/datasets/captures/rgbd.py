@@ -20,7 +20,7 @@ import numpy as np
 from ddakf.errors import InvalidFile
 from ddakf.evaluation.datasets.captures.frame_names import beside, in_order
 from ddakf.evaluation.datasets.captures.recording import TIMES, DepthRecording, frame_times, positive_rate, rate_of, visible
-from ddakf.evaluation.datasets.formats.depth_files import LARGEST, is_number, load_camera, read_colors, read_grey
+from ddakf.evaluation.datasets.formats.depth_files import LARGEST, is_number, load_camera, read_colors, read_depth, read_grey
 
 log = logging.getLogger(__name__)
 
@@ -48,14 +48,11 @@ class DepthImages(Ordered):
         return len(self.paths)
 
     def __getitem__(self, frame: int) -> np.ndarray:
-        depth = self._image(self.paths[frame])
+        depth = _as_first(read_depth(self.paths[frame]), self.paths[frame], self.shape)
         if self.masks:
-            depth = np.where(self._image(self.masks[frame]) > 0, depth, 0)
+            mask = _as_first(read_grey(self.masks[frame]), self.masks[frame], self.shape)
+            depth = np.where(mask > 0, depth, 0)
         return depth if self.scale == MILLIMETRES else (depth * np.float32(MILLIMETRES / self.scale)).astype(np.float32)
-
-    def _image(self, path: Path) -> np.ndarray:
-        return _as_first(read_grey(path), path, self.shape)
-
 
 @dataclass(frozen=True, eq=False)
 class ColorImages(Ordered):
@@ -103,7 +100,7 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
     paths = in_order(_images(path / "depth", (".png",)))
     if not paths:
         raise InvalidFile(str(path), "depth images depth/*.png", "none")
-    shape = read_grey(paths[0]).shape
+    shape = read_depth(paths[0]).shape
     camera, fields = load_camera(path, shape)
     scale = fields.get("depth_scale", MILLIMETRES)
     if not is_number(scale) or scale < LEAST_SCALE:

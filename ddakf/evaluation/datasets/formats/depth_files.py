@@ -54,6 +54,19 @@ def read_grey(path: Path) -> np.ndarray:
     return _decoded(path, GREY, "PNG")
 
 
+def read_depth(path: Path) -> np.ndarray:
+    """(H, W) depths of a grey PNG image, uint16 or int32.
+
+    Raises:
+        InvalidFile: as :func:`read_grey`; 8 bits, which hold shades and no depths.
+        MissingDependency: Pillow is not installed.
+    """
+    depth = read_grey(path)
+    if depth.itemsize == 1:
+        raise InvalidFile(str(path), "depths of 16 bits", "8 bits")
+    return depth
+
+
 def read_colors(path: Path) -> np.ndarray:
     """(H, W, 3) uint8, red, green and blue of a PNG or JPEG image.
 

@@ -224,3 +224,10 @@ def test_only_grey_images_of_a_decent_size_are_read(tmp_path):
             read_grey(tmp_path / "broken.png")
     with pytest.raises(InvalidFile, match="nothing there"):
         read_grey(tmp_path / "none.png")
+
+
+def test_shades_of_8_bits_are_no_depths(tmp_path):
+    (tmp_path / "depth").mkdir()
+    Image.fromarray(np.full((LENS.height, LENS.width), 200, np.uint8)).save(tmp_path / "depth/0.png")
+    with pytest.raises(InvalidFile, match=r"0\.png: expected depths of 16 bits, got 8 bits"):
+        load_rgbd(tmp_path)
