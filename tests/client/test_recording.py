@@ -72,6 +72,65 @@ def test_a_replay_gives_the_same_to_the_bit(service, recorded):
             assert np.array_equal(getattr(now, name), expected), name
 
 
+def test_resets_and_other_configurations_are_replayed(service, tmp_path):
+    """Both between two streams of the client and while one is open; also before the first frame of the recording."""
+    path, started, sheet = tmp_path / "changed.mcap", threading.Event(), make_sheet()
+    moved = sheet.vertices + [0.0, 0.0, 0.01]
+    changed = threading.Event()
+
+    def held():
+        """The first of three frames, and the others when the session has changed."""
+        first, *others = frames(sheet, 10, 3)
+        yield first
+        assert changed.wait(TIMEOUT)
+        yield from others
+
+    with (
+        connect(service.grpc) as client,
+        connect(service.grpc) as other,
+        client.create_session(*sheet, flow="lossless") as session,
+    ):
+        list(session.track(frames(sheet, 1, 3)))
+        options = {"frames": 9, "on_start": started.set}
+        recorder = threading.Thread(target=recordings.record, args=(other.open_session(session.session_id), path), kwargs=options)
+        recorder.start()
+        assert started.wait(TIMEOUT)
+        session.reset()
+        results = list(session.track(frames(sheet, 4, 3), covariance=True))
+        session.update(fabric="denim", labels={"take": "2"})
+        session.reset(moved, velocities=np.full(moved.shape, 0.1))
+        results += list(session.track(frames(sheet, 7, 3), covariance=True))
+        stream = session.track(held(), covariance=True)
+        results.append(next(stream))
+        session.update(config={"physics": {"collision": 0.0}})
+        changed.set()
+        results += list(stream)
+        recorder.join(TIMEOUT)
+        loaded = recordings.load(path)
+        kinds = {number: [type(change).__name__ for change in changes] for number, changes in loaded.changes.items()}
+        assert kinds == {
+            4: ["ResetSessionRequest"],
+            7: ["UpdateSessionRequest", "ResetSessionRequest"],
+            11: ["UpdateSessionRequest"],
+        }
+        pairs = list(recordings.replay(client, loaded))
+    assert len(pairs) == len(results) == 9
+    for result, (before, now) in zip(results, pairs, strict=True):
+        for name in ("vertices", "covariance"):
+            assert np.array_equal(getattr(before, name), getattr(result, name)), (result.sequence, name)
+            assert np.array_equal(getattr(now, name), getattr(result, name)), (result.sequence, name)
+
+
+def test_without_a_snapshot_a_reset_before_the_first_frame_is_not_made(service, recorded):
+    whole = recordings.load(recorded[0])
+    reset = pb.ResetSessionRequest()
+    bare = recordings.Recording(whole.session, whole.frames, whole.results, {whole.frames[0].sequence_number: [reset]})
+    unchanged = recordings.Recording(whole.session, whole.frames, whole.results)
+    with connect(service.grpc) as client:
+        found, expected = (list(recordings.replay(client, each)) for each in (bare, unchanged))
+    assert all(np.array_equal(a.vertices, b.vertices) for (_, a), (_, b) in zip(found, expected, strict=True))
+
+
 def test_without_a_snapshot_the_replay_starts_from_the_first_result(service, recorded):
     whole = recordings.load(recorded[0])
     bare = recordings.Recording(whole.session, whole.frames, whole.results)
@@ -224,7 +283,8 @@ def test_a_clock_that_is_set_back_leaves_the_frames_in_order(tmp_path, monkeypat
 def test_frames_that_the_reader_missed_are_counted(tmp_path):
     def pairs(numbers):
         for number in numbers:
-            yield pb.Frame(sequence_number=number), pb.Result(sequence_number=number, frames_applied=number + 40)
+            result = pb.Result(sequence_number=number, frames_applied=number + 40)
+            yield recording._Pair(pb.Frame(sequence_number=number), result, ())
 
     with (tmp_path / "some.mcap").open("wb") as file, recording._Writer(file) as writer:
         found = recording._write_frames(pairs([4, 5, 9, 10, 12]), writer, math.inf, math.inf, lambda result: None)

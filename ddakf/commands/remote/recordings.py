@@ -74,7 +74,7 @@ def replay(client, arguments: argparse.Namespace) -> None:
     """Tracks the recorded frames again, and prints how far the results are from the recorded ones.
 
     A frame for which a server was short of time left work out, and one that is missing moved the garment: from there on the
-    results may differ. So they may after a reset or a change of the session, which no recording has.
+    results may differ.
     """
     package = _package()
     try:
@@ -107,7 +107,7 @@ def replay(client, arguments: argparse.Namespace) -> None:
     if missing:
         print("Missing: the session tracked these frames, and they are not in the file; from there on, results differ.")
     if largest_in_full > 0:
-        print("Differences before: the session was reset or changed meanwhile, or the server has another version or processor.")
+        print("Differences before: the server has another version or processor.")
 
 
 def _failure() -> type[Exception]:

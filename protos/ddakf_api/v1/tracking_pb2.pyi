@@ -731,7 +731,7 @@ class DepthImage(_message.Message):
     def __init__(self, encoding: _Optional[_Union[DepthEncoding, str]] = ..., compression: _Optional[_Union[DepthCompression, str]] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., data: _Optional[bytes] = ..., intrinsics: _Optional[_Union[Intrinsics, _Mapping]] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., depth_scale: _Optional[float] = ..., mask: _Optional[bytes] = ..., mask_compression: _Optional[_Union[DepthCompression, str]] = ..., confidence: _Optional[bytes] = ..., confidence_compression: _Optional[_Union[DepthCompression, str]] = ..., min_confidence: _Optional[int] = ..., colors: _Optional[bytes] = ...) -> None: ...
 
 class TrackResponse(_message.Message):
-    __slots__ = ("started", "result", "frame_error", "notice", "pong", "error", "frame")
+    __slots__ = ("started", "result", "frame_error", "notice", "pong", "error", "frame", "reset", "update")
     STARTED_FIELD_NUMBER: _ClassVar[int]
     RESULT_FIELD_NUMBER: _ClassVar[int]
     FRAME_ERROR_FIELD_NUMBER: _ClassVar[int]
@@ -739,6 +739,8 @@ class TrackResponse(_message.Message):
     PONG_FIELD_NUMBER: _ClassVar[int]
     ERROR_FIELD_NUMBER: _ClassVar[int]
     FRAME_FIELD_NUMBER: _ClassVar[int]
+    RESET_FIELD_NUMBER: _ClassVar[int]
+    UPDATE_FIELD_NUMBER: _ClassVar[int]
     started: Started
     result: Result
     frame_error: FrameError
@@ -746,7 +748,9 @@ class TrackResponse(_message.Message):
     pong: Pong
     error: ErrorDetail
     frame: Frame
-    def __init__(self, started: _Optional[_Union[Started, _Mapping]] = ..., result: _Optional[_Union[Result, _Mapping]] = ..., frame_error: _Optional[_Union[FrameError, _Mapping]] = ..., notice: _Optional[_Union[Notice, _Mapping]] = ..., pong: _Optional[_Union[Pong, _Mapping]] = ..., error: _Optional[_Union[ErrorDetail, _Mapping]] = ..., frame: _Optional[_Union[Frame, _Mapping]] = ...) -> None: ...
+    reset: ResetSessionRequest
+    update: UpdateSessionRequest
+    def __init__(self, started: _Optional[_Union[Started, _Mapping]] = ..., result: _Optional[_Union[Result, _Mapping]] = ..., frame_error: _Optional[_Union[FrameError, _Mapping]] = ..., notice: _Optional[_Union[Notice, _Mapping]] = ..., pong: _Optional[_Union[Pong, _Mapping]] = ..., error: _Optional[_Union[ErrorDetail, _Mapping]] = ..., frame: _Optional[_Union[Frame, _Mapping]] = ..., reset: _Optional[_Union[ResetSessionRequest, _Mapping]] = ..., update: _Optional[_Union[UpdateSessionRequest, _Mapping]] = ...) -> None: ...
 
 class Started(_message.Message):
     __slots__ = ("name", "last_sequence_number", "last_capture_time", "flow_mode", "max_frames_in_flight", "repeated_answers")

@@ -188,10 +188,11 @@ class Sessions:
 
     async def _configure(self, session: Session, change: pb.Session, paths: set[str]) -> None:
         """Applies a new configuration, a new fabric, or both; the fabric overrides the configuration, as at creation."""
-        opened, requested = session.description, pb.UpdateSessionRequest()
+        opened, requested = session.description, pb.UpdateSessionRequest(session=pb.Session(name=session.name))
         requested.session.config_json, requested.session.fabric = change.config_json, change.fabric
         requested.update_mask.paths.extend(sorted(paths & {"config_json", "fabric"}))
         answer = pb.Session.FromString(await self._pool.configure(session.id, requested.SerializeToString()))
+        session.record_update(requested)
         await self._durability.checkpoint_now(session)
         opened.config_json, opened.fabric = answer.config_json, answer.fabric
 

@@ -222,9 +222,14 @@ class Session:
             self.watchers.publish(Response(pb.TrackResponse(notice=notice)))
 
     def record_reset(self, request: bytes) -> None:
-        """Records a reset of the tracker by a serialised request."""
+        """Records a reset of the tracker by a serialised request, and tells watchers of it."""
         self._state, self.last_reset = pb.SESSION_STATE_INITIALIZING, request
+        self.watchers.publish(Response(pb.TrackResponse(reset=pb.ResetSessionRequest.FromString(request))))
         self.touch()
+
+    def record_update(self, request: pb.UpdateSessionRequest) -> None:
+        """Tells watchers of another configuration of the tracker."""
+        self.watchers.publish(Response(pb.TrackResponse(update=request)))
 
     def shut_out(self, key_ids: Set[str], error: ServiceError) -> None:
         """Ends the stream and the watchers of these keys."""

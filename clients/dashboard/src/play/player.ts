@@ -1,6 +1,6 @@
 /** Player: this page is a camera and streams a sample or files of its user to a session of its own, as any client does. */
 import { FrameError, Result, ServiceError, type Client, type Flow, type Frame, type Mesh, type Session } from "ddakf-client";
-import { Recording } from "ddakf-client/recordings";
+import { Recording, make } from "ddakf-client/recordings";
 import { decompress } from "fzstd";
 import { sessionId } from "../format.js";
 import type { Begun, Captured, Given, Replayed } from "./source.js";
@@ -42,6 +42,12 @@ export async function prepare(given: Given): Promise<Prepared> {
   }
 }
 
+/** Frames of one stream, before which the tracker is changed. */
+interface Part {
+  frames: Queue<Frame>;
+  changes: Replayed["changes"];
+}
+
 /** A running source. */
 export class Player {
   settings: Settings;
@@ -59,7 +65,8 @@ export class Player {
   /** Capture time of the first recorded answer for which work was left out; infinite: none. */
   shortSince = Infinity;
 
-  private frames: Queue<Frame>;
+  private readonly parts: Part[] = []; // that follow the one which is streamed
+  private frames: Queue<Frame>; // of the last part
   private readonly listeners = new Set<() => void>();
   private readonly unwatched: ReturnType<typeof setTimeout>;
 
@@ -70,7 +77,7 @@ export class Player {
     const { begun, given } = prepared;
     this.settings = { rate: Math.min(begun.fps, 60), patient: true, noise: 0.003, hidden: 0, blind: false, running: false };
     if (given.kind === "sample") this.settings.rate = 30;
-    this.frames = this.newQueue();
+    this.frames = this.newPart();
     this.unwatched = setTimeout(this.begin, UNWATCHED);
     void this.run();
   }
@@ -122,7 +129,7 @@ export class Player {
     this.settings = { ...this.settings, ...settings };
     if (this.flow !== flow) {
       this.frames.close(); // a stream of the other flow follows
-      this.frames = this.newQueue();
+      this.frames = this.newPart();
     }
     this.order({ settings: this.settings });
     this.notify();
@@ -153,9 +160,9 @@ export class Player {
       }
     };
     try {
-      for (let streamed: Queue<Frame> | undefined; streamed !== this.frames && !this.ended;) {
-        streamed = this.frames;
-        await this.stream(streamed);
+      for (let part: Part | undefined; !this.ended && (part = this.parts.shift());) {
+        for (const change of part.changes) await make(this.session, change);
+        await this.stream(part.frames);
       }
     } catch (error) {
       if (!this.ended) this.failure = error;
@@ -178,8 +185,11 @@ export class Player {
     return this.prepared.begun.isVirtual && !this.settings.patient ? "realtime" : "lossless";
   }
 
-  private newQueue(): Queue<Frame> {
-    return new Queue(this.flow === "realtime");
+  /** The queue of a new part. */
+  private newPart(changes: Replayed["changes"] = []): Queue<Frame> {
+    const frames = new Queue<Frame>(this.flow === "realtime");
+    this.parts.push({ frames, changes });
+    return frames;
   }
 
   private put(frame: Captured | Replayed): void {
@@ -188,6 +198,10 @@ export class Player {
       const more = { ...(colors && { colors }), ...(body && { bodyVertices: body }), ...(origin && { sensorOrigin: origin }) };
       this.frames.put({ points, timestamp, ...more });
       return;
+    }
+    if (frame.changes.length > 0) {
+      this.frames.close(); // what follows begins when the frames before are answered
+      this.frames = this.newPart(frame.changes);
     }
     const recorded = new Result(frame.result, 0, NaN);
     this.recorded.set(recorded.timestamp, recorded);

@@ -1,5 +1,6 @@
 /** Sources of frames that this page streams as a camera would: what all of them have in common. */
 import type { EncodedFrame, messages } from "ddakf-client";
+import type { RecordedFrame } from "ddakf-client/recordings";
 import type { Surface } from "../files/mesh.js";
 import type { Disturbance } from "./camera.js";
 
@@ -43,6 +44,8 @@ export interface Captured {
 export interface Replayed {
   encoded: EncodedFrame;
   result: messages.Result;
+  /** Of the tracker, before it. */
+  changes: RecordedFrame["changes"];
 }
 
 /** A source whose frames are captured one after the other. */

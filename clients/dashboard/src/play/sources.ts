@@ -258,8 +258,8 @@ class ReplaySource implements Source {
     this.next = k + 1;
     const next = await this.frames.next();
     if (next.done) return undefined;
-    const { frame, result } = next.value;
-    return { encoded: { message: frame, timestamp: frame.captureTime }, result };
+    const { frame, result, changes } = next.value;
+    return { encoded: { message: frame, timestamp: frame.captureTime }, result, changes };
   }
 }
 

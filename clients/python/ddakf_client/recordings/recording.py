@@ -4,12 +4,13 @@
 |---|---|---|
 | `/session` | `ddakf_api.v1.Session` | meshes and configuration, once |
 | `/frame`, `/result` | `ddakf_api.v1.Frame`, `.Result` | as sent and answered |
+| `/reset`, `/update` | `ddakf_api.v1.ResetSessionRequest`, `.UpdateSessionRequest` | before the next frame |
 | `/cloud`, `/garment` | `foxglove.PointCloud`, `foxglove.SceneUpdate` | for Foxglove, see :mod:`.foxglove` |
 | `/numbers` | `ddakf.Numbers` | reliability, score, coverage, counters, seconds per stage |
 
 The attachment ``snapshot`` holds the tracker's state before the first frame: a replay continues from it and gives the same
-results to the bit, until a frame that is missing, or a reset or a change of the session, which no recording has. A key that may
-only read gets no snapshot; its replay starts from the first result that has arrays.
+results to the bit, until a frame that is missing. A key that may only read gets no snapshot; its replay starts from the first
+result that has arrays.
 
 All frames and results come first: while more than a few wait to be written, ``/cloud`` and ``/garment`` are left out.
 """
@@ -21,6 +22,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
@@ -48,8 +50,11 @@ from ddakf_client.recordings.read_ahead import read_ahead
 from ddakf_client.results import Result, frame_error_from, result_from
 
 SESSION, FRAME, RESULT, CLOUD, GARMENT, NUMBERS = "/session", "/frame", "/result", "/cloud", "/garment", "/numbers"
+RESET, UPDATE = "/reset", "/update"
 SNAPSHOT = "snapshot"
-_MESSAGES = {SESSION: pb.Session, FRAME: pb.Frame, RESULT: pb.Result}
+Change = pb.ResetSessionRequest | pb.UpdateSessionRequest
+_CHANGES = {RESET: pb.ResetSessionRequest, UPDATE: pb.UpdateSessionRequest}
+_MESSAGES = {SESSION: pb.Session, FRAME: pb.Frame, RESULT: pb.Result, **_CHANGES}
 _SCHEMAS = {
     CLOUD: ("foxglove.PointCloud", foxglove.POINT_CLOUD),
     GARMENT: ("foxglove.SceneUpdate", foxglove.SCENE_UPDATE),
@@ -136,21 +141,30 @@ def _write_beginning(client: Client, name: str, writer: _Writer) -> int:
     return 0 if state is None else state.session.statistics.last_sequence_number
 
 
-def _pairs(call: grpc.Call, after: int) -> Iterator[tuple[pb.Frame, pb.Result] | None]:
+class _Pair(NamedTuple):
+    frame: pb.Frame
+    result: pb.Result
+    changes: tuple[Change, ...]  # of the tracker since the frame before
+
+
+def _pairs(call: grpc.Call, after: int) -> Iterator[_Pair | None]:
     """Each frame above a number with its result; None for another answer."""
-    frame = None
+    frame, changes = None, ()
     for response in call:
         if response.HasField("frame"):
             frame = response.frame
-        elif response.HasField("result") and frame is not None and frame.sequence_number > after:
-            yield frame, response.result
-            frame = None
-        else:
-            yield None
+        elif response.HasField("reset") or response.HasField("update"):
+            changes += (response.reset if response.HasField("reset") else response.update,)
+        elif response.HasField("result") and frame is not None:
+            if frame.sequence_number > after:
+                yield _Pair(frame, response.result, changes)
+            frame, changes = None, ()
+            continue
+        yield None
 
 
 def _write_frames(
-    pairs: Iterator[tuple[pb.Frame, pb.Result] | None],
+    pairs: Iterator[_Pair | None],
     writer: _Writer,
     end: float,
     most: float,
@@ -161,8 +175,9 @@ def _write_frames(
     try:
         for pair, behind in read_ahead(pairs):
             if pair is not None:
-                result = _converted(pair[1])
-                writer.write_pair(*pair, result, with_pictures=behind <= _BEHIND)
+                result = _converted(pair.result)
+                writer.write_changes(pair)
+                writer.write_pair(pair.frame, pair.result, result, with_pictures=behind <= _BEHIND)
                 missing += max(result.applied - applied - 1, 0) if count else 0
                 count, applied = count + 1, result.applied
                 on_result(result)
@@ -183,12 +198,14 @@ class Recording:
     Attributes:
         session: with its meshes and configuration.
         frames, results: of equal length, in their order.
+        changes: of the tracker, by the number of the frame before which each was made.
         snapshot: state of the tracker before the first frame; empty: none.
     """
 
     session: pb.Session
     frames: list[pb.Frame] = field(default_factory=list)
     results: list[pb.Result] = field(default_factory=list)
+    changes: dict[int, list[Change]] = field(default_factory=dict)
     snapshot: bytes = b""
 
 
@@ -215,7 +232,19 @@ def load(path: str | PathLike) -> Recording:
         raise InvalidArgument(field="path", expected="a recording of a session", got=f"{Path(path).name} without {SESSION}")
     known = read[SESSION][0].statistics.last_sequence_number if SNAPSHOT in attachments else 0
     pairs = [(f, r) for f, r in zip(read[FRAME], read[RESULT], strict=True) if f.sequence_number > known]
-    return Recording(read[SESSION][0], [f for f, _ in pairs], [r for _, r in pairs], attachments.get(SNAPSHOT, b""))
+    snapshot = attachments.get(SNAPSHOT, b"")
+    return Recording(read[SESSION][0], [f for f, _ in pairs], [r for _, r in pairs], _changes_of(messages), snapshot)
+
+
+def _changes_of(messages: list[tuple[str, bytes]]) -> dict[int, list[Change]]:
+    """The changes of the tracker, in their order, by the number of the frame that follows."""
+    found, waiting = {}, []
+    for topic, data in messages:
+        if topic in _CHANGES:
+            waiting.append(_CHANGES[topic].FromString(data))
+        elif topic == FRAME and waiting:
+            found[pb.Frame.FromString(data).sequence_number], waiting = waiting, []
+    return found
 
 
 def replay(client: Client, recording: Recording) -> Iterator[tuple[Result, Result]]:
@@ -230,19 +259,48 @@ def replay(client: Client, recording: Recording) -> Iterator[tuple[Result, Resul
     first, frames = _first_with_arrays(recording), recording.frames
     if first is not None and not recording.snapshot:
         frames = [frame for frame in frames if frame.sequence_number >= first.sequence_number]
+    recorded = {result.sequence_number: result for result in recording.results}
     with _session_of(client, recording, first) as session:
-        call = client.open_track(_requests(session.name, frames, first or pb.Result()))
-        recorded = {result.sequence_number: result for result in recording.results}
-        try:
-            for response in call:
-                if response.HasField("frame_error"):
-                    raise frame_error_from(response.frame_error).error
-                if response.HasField("result"):
-                    yield _converted(recorded[response.result.sequence_number]), _converted(response.result)
-        except grpc.RpcError as error:
-            raise failure(error, client.target, _NO_LIMIT) from None
-        finally:
-            call.cancel()
+        for part in _unchanged(frames, recording.changes):
+            known = part[0] is frames[0] and not recording.snapshot  # the session starts at the result of that frame
+            for change in recording.changes.get(part[0].sequence_number, ()):
+                if not (known and isinstance(change, pb.ResetSessionRequest)):
+                    _make(client, session.name, change)
+            for result in _tracked(client, session.name, part, first or pb.Result()):
+                yield _converted(recorded[result.sequence_number]), _converted(result)
+
+
+def _unchanged(frames: list[pb.Frame], changes: dict[int, list[Change]]) -> Iterator[list[pb.Frame]]:
+    """The frames in parts, before each of which the tracker was changed; also before the first one, or not."""
+    starts = [0, *(k for k, frame in enumerate(frames) if k and frame.sequence_number in changes), len(frames)]
+    yield from (frames[first:last] for first, last in pairwise(starts) if first < last)
+
+
+def _make(client: Client, name: str, change: Change) -> None:
+    """Makes a recorded change of the tracker in a session."""
+    renamed = type(change)()
+    renamed.CopyFrom(change)
+    if isinstance(renamed, pb.ResetSessionRequest):
+        renamed.name = name
+        client.call("ResetSession", renamed)
+    else:
+        renamed.session.name = name
+        client.call("UpdateSession", renamed)
+
+
+def _tracked(client: Client, name: str, frames: list[pb.Frame], first: pb.Result) -> Iterator[pb.Result]:
+    """The results of frames that a stream of their own sends to a session."""
+    call = client.open_track(_requests(name, frames, first))
+    try:
+        for response in call:
+            if response.HasField("frame_error"):
+                raise frame_error_from(response.frame_error).error
+            if response.HasField("result"):
+                yield response.result
+    except grpc.RpcError as error:
+        raise failure(error, client.target, _NO_LIMIT) from None
+    finally:
+        call.cancel()
 
 
 def _first_with_arrays(recording: Recording) -> pb.Result | None:
@@ -324,6 +382,12 @@ class _Writer:
         for topic, document in documents.items():
             if document is not None:
                 self.write(topic, document.encode(), now, number)
+
+    def write_changes(self, pair: _Pair) -> None:
+        """The changes of the tracker before a frame."""
+        for change in pair.changes:
+            topic = RESET if isinstance(change, pb.ResetSessionRequest) else UPDATE
+            self.write(topic, change.SerializeToString(), pair.frame.capture_time, pair.frame.sequence_number)
 
     def _message_channel(self, topic: str, kind) -> int:
         schema = _descriptor_set(kind.DESCRIPTOR.file).SerializeToString()

@@ -1,4 +1,4 @@
 /** Recordings of sessions, as `ddakf record` writes them. */
 export { Mcap, type McapMessage, type Unzstd } from "./mcap.js";
 export { record, type Progress, type RecordOptions } from "./recorder.js";
-export { Recording, type RecordedFrame } from "./recording.js";
+export { Recording, make, type RecordedFrame } from "./recording.js";

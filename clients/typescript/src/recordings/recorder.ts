@@ -4,14 +4,27 @@ import { FileDescriptorSetSchema } from "@bufbuild/protobuf/wkt";
 import type { DescFile, DescMessage } from "@bufbuild/protobuf";
 import type { Decompress } from "../codec/cloud.js";
 import { PermissionDenied, SessionExpired, SessionNotFound } from "../errors.js";
-import { FrameSchema, ResultSchema, SessionSchema, type Frame } from "../gen/ddakf_api/v1/tracking_pb.js";
+import {
+  FrameSchema,
+  ResetSessionRequestSchema,
+  ResultSchema,
+  SessionSchema,
+  UpdateSessionRequestSchema,
+  type Frame,
+} from "../gen/ddakf_api/v1/tracking_pb.js";
 import { Result } from "../results.js";
 import type { Session } from "../session.js";
-import { MOST_KEPT } from "../streaming/watch.js";
+import { MOST_KEPT, type Change } from "../streaming/watch.js";
 import { NUMBERS, POINT_CLOUD, SCENE_UPDATE, garment, indicesOf, numbers, pointCloud } from "./foxglove.js";
 import { McapWriter, type Channel } from "./writer.js";
 
-const MESSAGES = { "/session": SessionSchema, "/frame": FrameSchema, "/result": ResultSchema } as const;
+const MESSAGES = {
+  "/session": SessionSchema,
+  "/frame": FrameSchema,
+  "/result": ResultSchema,
+  "/reset": ResetSessionRequestSchema,
+  "/update": UpdateSessionRequestSchema,
+} as const;
 const DOCUMENTS = {
   "/cloud": ["foxglove.PointCloud", POINT_CLOUD],
   "/garment": ["foxglove.SceneUpdate", SCENE_UPDATE],
@@ -59,7 +72,8 @@ export async function record(session: Session, options: RecordOptions = {}): Pro
   };
   signal?.addEventListener("abort", leave);
   if (signal?.aborted) leave();
-  const sent = new Map<bigint, Frame>();
+  const sent = new Map<bigint, Sent>();
+  let changes: Change[] = []; // since the last frame
   let begun: Promise<Recorder> | undefined;
   let leftOut: Result | undefined; // the last one
   const begin = () => {
@@ -72,8 +86,11 @@ export async function record(session: Session, options: RecordOptions = {}): Pro
     onNotice: () => undefined,
     onStart: begin,
     onFrame: (frame) => {
-      if (sent.size < MOST_FRAMES) sent.set(frame.sequenceNumber, frame);
+      if (sent.size >= MOST_FRAMES) return;
+      sent.set(frame.sequenceNumber, { frame, changes });
+      changes = [];
     },
+    onChange: (change) => changes.push(change),
     onLeftOut: (result) => (leftOut = result),
   });
   try {
@@ -81,9 +98,9 @@ export async function record(session: Session, options: RecordOptions = {}): Pro
       const recorder = await begun!;
       if (!(answer instanceof Result)) continue;
       const number = answer.message.sequenceNumber;
-      const frame = sent.get(number);
+      const given = sent.get(number);
       for (const each of sent.keys()) if (each <= number) sent.delete(each);
-      if (number > recorder.after) onFrame?.({ ...(await recorder.write(frame, answer)) });
+      if (number > recorder.after) onFrame?.({ ...(await recorder.write(given, answer)) });
       if (recorder.progress.frames >= most) break;
     }
   } catch (error) {
@@ -96,6 +113,12 @@ export async function record(session: Session, options: RecordOptions = {}): Pro
   const recorder = await (begun ?? Recorder.begin(session, zstd));
   if (leftOut && recorder.progress.frames < most && recorder.miss(leftOut)) onFrame?.({ ...recorder.progress });
   return recorder.finish();
+}
+
+/** A frame, and the changes of the tracker before it. */
+interface Sent {
+  frame: Frame;
+  changes: Change[];
 }
 
 /** The file of a recording. */
@@ -127,12 +150,13 @@ class Recorder {
   }
 
   /** A frame, its result, and both for Foxglove; undefined: the frame of this result did not come. */
-  async write(frame: Frame | undefined, result: Result): Promise<Progress> {
+  async write(given: Sent | undefined, result: Result): Promise<Progress> {
     this.applied ??= result.applied - 1;
     this.progress.missed += Math.max(0, result.applied - this.applied - 1);
     this.applied = result.applied;
-    if (frame) {
-      await this.writePair(frame, result);
+    if (given) {
+      this.writeChanges(given);
+      await this.writePair(given.frame, result);
       this.progress.frames++;
     } else this.progress.missed++;
     this.progress.bytes = this.writer.bytes;
@@ -148,6 +172,15 @@ class Recorder {
 
   finish(): Blob {
     return this.writer.finish();
+  }
+
+  private writeChanges({ frame, changes }: Sent): void {
+    const number = Number(frame.sequenceNumber & 0xffffffffn);
+    for (const change of changes) {
+      if (change.$typeName === "ddakf_api.v1.ResetSessionRequest")
+        this.put("/reset", toBinary(ResetSessionRequestSchema, change), frame.captureTime, number);
+      else this.put("/update", toBinary(UpdateSessionRequestSchema, change), frame.captureTime, number);
+    }
   }
 
   private async writePair(frame: Frame, result: Result): Promise<void> {

@@ -3,18 +3,33 @@ import { fromBinary, type JsonObject } from "@bufbuild/protobuf";
 import type { Client, SessionOptions } from "../client.js";
 import { unpack, unpackFloats } from "../codec/arrays.js";
 import { InvalidArgument } from "../errors.js";
-import { FrameSchema, ResultSchema, SessionSchema } from "../gen/ddakf_api/v1/tracking_pb.js";
-import type { Frame, Mesh as MeshMessage, Result, Session as SessionMessage } from "../gen/ddakf_api/v1/tracking_pb.js";
+import {
+  FrameSchema,
+  ResetSessionRequestSchema,
+  ResultSchema,
+  SessionSchema,
+  UpdateSessionRequestSchema,
+} from "../gen/ddakf_api/v1/tracking_pb.js";
+import type {
+  Frame,
+  Mesh as MeshMessage,
+  PackedArray,
+  Result,
+  Session as SessionMessage,
+} from "../gen/ddakf_api/v1/tracking_pb.js";
 import type { Mesh } from "../client.js";
 import type { Session } from "../session.js";
+import type { Change } from "../streaming/watch.js";
 import { Mcap, type Unzstd } from "./mcap.js";
 
-const [SESSION, FRAME, RESULT, SNAPSHOT] = ["/session", "/frame", "/result", "snapshot"];
+const [SESSION, FRAME, RESULT, RESET, UPDATE, SNAPSHOT] = ["/session", "/frame", "/result", "/reset", "/update", "snapshot"];
 
 /** A frame as it was sent, but without its deadline, which does not hold in a replay; and its answer. */
 export interface RecordedFrame {
   frame: Frame;
   result: Result;
+  /** Of the tracker since the frame before, see `make`. */
+  changes: Change[];
 }
 
 /** A recording in a file, of which frames are read when they are needed. */
@@ -55,11 +70,15 @@ export class Recording {
   async *frames(): AsyncGenerator<RecordedFrame, void, undefined> {
     const known = this.snapshot ? (this.session.statistics?.lastSequenceNumber ?? 0n) : 0n;
     let frame: Frame | undefined;
-    for await (const { topic, data } of this.file.messages(new Set([FRAME, RESULT])))
+    let changes: Change[] = [];
+    for await (const { topic, data } of this.file.messages(new Set([FRAME, RESULT, RESET, UPDATE])))
       if (topic === FRAME) frame = fromBinary(FrameSchema, data);
-      else if (frame && frame.sequenceNumber > known) {
+      else if (topic === RESET) changes.push(fromBinary(ResetSessionRequestSchema, data));
+      else if (topic === UPDATE) changes.push(fromBinary(UpdateSessionRequestSchema, data));
+      else if (frame) {
         frame.deadline = 0;
-        yield { frame, result: fromBinary(ResultSchema, data) };
+        if (frame.sequenceNumber > known) yield { frame, result: fromBinary(ResultSchema, data), changes };
+        changes = [];
       }
   }
 
@@ -81,8 +100,25 @@ export class Recording {
   }
 }
 
+/** Makes a recorded change of the tracker in a session whose frames before it are answered. */
+export async function make(session: Session, change: Change): Promise<void> {
+  if (change.$typeName === "ddakf_api.v1.ResetSessionRequest") {
+    const { vertices, velocities } = change;
+    await session.reset(vertices && positionsOf(vertices, "vertices"), velocities && positionsOf(velocities, "velocities"));
+    return;
+  }
+  const paths = new Set(change.updateMask?.paths);
+  const { configJson = "", fabric = "" } = change.session ?? {};
+  const config = paths.has("config_json") ? { config: JSON.parse(configJson || "{}") as JsonObject } : {};
+  await session.update({ ...config, ...(paths.has("fabric") && { fabric }) });
+}
+
+/** Positions or velocities as exactly as they were sent. */
+function positionsOf(array: PackedArray, field: string): Float32Array | Float64Array {
+  const rows = unpack(array, 3, field);
+  return rows instanceof Float64Array ? rows : Float32Array.from(rows);
+}
+
 function meshOf({ vertices, faces }: MeshMessage): Mesh {
-  const positions = unpack(vertices!, 3, "vertices");
-  const exact = positions instanceof Float64Array ? positions : Float32Array.from(positions);
-  return { vertices: exact, faces: Uint32Array.from(unpack(faces!, 3, "faces")) };
+  return { vertices: positionsOf(vertices!, "vertices"), faces: Uint32Array.from(unpack(faces!, 3, "faces")) };
 }

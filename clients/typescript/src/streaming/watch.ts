@@ -2,12 +2,15 @@
 import { Answers } from "./answers.js";
 import { Unavailable } from "../errors.js";
 import type { Answer } from "./exchange.js";
-import type { Frame, TrackResponse } from "../gen/ddakf_api/v1/tracking_pb.js";
+import type { Frame, ResetSessionRequest, TrackResponse, UpdateSessionRequest } from "../gen/ddakf_api/v1/tracking_pb.js";
 import type { Line, LineEvents } from "./line.js";
 import { Result, frameErrorFrom, noticeFrom, type Notice } from "../results.js";
 
 /** Answers that wait where all are kept: four seconds at 30 frames per second. */
 export const MOST_KEPT = 128;
+
+/** A change of a session's tracker. */
+export type Change = ResetSessionRequest | UpdateSessionRequest;
 
 /** Options of `Session.watch`. */
 export interface WatchOptions {
@@ -23,6 +26,8 @@ export interface WatchOptions {
   onNotice?: (notice: Notice) => void;
   /** Called with the frame of each result with arrays, as its client sent it, before the result; without it none is sent. */
   onFrame?: ((frame: Frame) => void) | undefined;
+  /** With `onFrame`: called when the tracker was reset, or has another configuration, before the next frame. */
+  onChange?: ((change: Change) => void) | undefined;
   /** Ends the watch in order. */
   signal?: AbortSignal;
 }
@@ -32,7 +37,7 @@ export async function* watch(
   openLine: (events: LineEvents) => Line,
   probe: () => Promise<void>,
   onNotice: (notice: Notice) => void,
-  { onFrame, onStart, onLeftOut, keepAll = false, signal }: WatchOptions,
+  { onFrame, onChange, onStart, onLeftOut, keepAll = false, signal }: WatchOptions,
 ): AsyncGenerator<Answer, void, undefined> {
   const answers = new Answers(!keepAll, undefined, keepAll ? MOST_KEPT : Infinity);
   const finish = () => {
@@ -46,6 +51,7 @@ export async function* watch(
       if (message.case === "started") onStart?.();
       else if (message.case === "notice") onNotice(noticeFrom(message.value));
       else if (message.case === "frame") onFrame?.(message.value);
+      else if (message.case === "reset" || message.case === "update") onChange?.(message.value);
       else if (message.case === "result") {
         const result = new Result(message.value, 0, NaN);
         if (!answers.push(result)) onLeftOut?.(result);

@@ -41,7 +41,12 @@ class Watcher:
         self._error: Exception | None = None
 
     def put(self, response: Response, frame: bytes | memoryview = b"") -> None:
-        """Queues a response, with arrays and frame if it is an n-th result. A full queue drops its oldest result."""
+        """Queues a response, with arrays and frame if it is an n-th result. A full queue drops its oldest result.
+
+        Who reads no frames learns of no change of the tracker.
+        """
+        if not self._with_frames and (response.has("reset") or response.has("update")):
+            return
         with_arrays = response.message.result.frames_applied % self._every_nth == 0
         with_frame = self._with_frames and with_arrays and response.has("result")
         self._waiting.append((response if with_arrays else response.without_arrays(), frame if with_frame else b""))

@@ -81,6 +81,20 @@ def test_a_watcher_may_have_each_frame_before_its_result_as_it_was_sent(api, ses
     assert seen[4] == answers[3]
 
 
+def test_a_watcher_with_frames_learns_of_changes_of_the_tracker(api, session, sheet):
+    with watching(api, session, include_frames=True) as (_, watcher), watching(api, session) as (_, other):
+        api.stub.ResetSession(pb.ResetSessionRequest(name=session))
+        for change in ({"fabric": "denim", "labels": {"a": "b"}}, {"labels": {"a": "c"}}):
+            request = pb.UpdateSessionRequest(session=pb.Session(name=session, **change), update_mask={"paths": list(change)})
+            api.stub.UpdateSession(request)
+        _, answer = api.track(session, [request_of(frame_of(sheet, 1))])
+        seen = [next(watcher) for _ in range(4)]
+        assert next(other) == answer, "who does not ask for frames learns of none"
+    assert [each.WhichOneof("message") for each in seen] == ["reset", "update", "frame", "result"]
+    assert seen[0].reset.name == seen[1].update.session.name == session
+    assert (seen[1].update.session.fabric, list(seen[1].update.update_mask.paths)) == ("denim", ["fabric"])
+
+
 def test_a_watcher_that_never_reads_holds_nothing_up_and_takes_no_memory(service, api):
     sheet, frames, chunk = make_sheet(40, 0.01), 300, 50
     name = api.create(sheet).name

@@ -1803,6 +1803,20 @@ export declare type TrackResponse = Message<"ddakf_api.v1.TrackResponse"> & {
      */
     value: Frame;
     case: "frame";
+  } | {
+    /**
+     * To watchers with include_frames alone: the tracker was reset, or has another configuration, from the next frame on.
+     *
+     * @generated from field: ddakf_api.v1.ResetSessionRequest reset = 8;
+     */
+    value: ResetSessionRequest;
+    case: "reset";
+  } | {
+    /**
+     * @generated from field: ddakf_api.v1.UpdateSessionRequest update = 9;
+     */
+    value: UpdateSessionRequest;
+    case: "update";
   } | { case: undefined; value?: undefined };
 };
 
