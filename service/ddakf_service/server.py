@@ -78,6 +78,7 @@ class Server:
         self._metrics.build_info.labels(ddakf.__version__, build()).set(1)
         self._tracer = tracer_for(settings.trace_sample, settings.server_id)
         self._store = Store(settings, self._metrics)
+        self._was_ready = False
         limits = Limits(
             settings.max_points,
             settings.max_vertices,
@@ -110,6 +111,7 @@ class Server:
         guard = Guard(self._keys, refusals, anonymous=_anonymous(settings), local=not settings.allow_anonymous)
         tls = Tls.of(settings.tls_certificate, settings.tls_key, settings.tls_client_ca)
         self._grpc = GrpcServer(self._sessions, self._streams, settings, guard, tls)
+        self._store.ready = lambda: not self._not_ready()
         app = create_app(self._sessions, settings, self._metrics, self._not_ready, self._store)
         add_websockets(app, self._streams, settings.reader_timeout)
         guarded = HttpGuard(app, guard)
@@ -238,7 +240,11 @@ class Server:
         self._health_update = asyncio.ensure_future(self._publish_health())
 
     async def _publish_health(self) -> None:
-        await self._grpc.serving(not self._not_ready())  # read here, because it may have changed since the call
+        ready = not self._not_ready()  # read here, because it may have changed since the call
+        await self._grpc.serving(ready)
+        if ready != self._was_ready:
+            self._was_ready = ready
+            self._store.announce_readiness()
 
 
 def _ray_actors(limits: Limits, address: str) -> WorkerSource:

@@ -37,7 +37,7 @@ _ATTEMPTS = 10  # to read a file of a folder in which the server writes
 def back_up(args: argparse.Namespace) -> int:
     """Writes the archive and returns the exit status.
 
-    The database comes first: a session that begins afterwards has a checkpoint and no row, and is forgotten by the next start.
+    The database comes first: a session that begins afterwards has a checkpoint and no row, and is not gone on with.
     """
     folder = _data_folder(args)
     if not (folder / DATABASE).is_file():

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     database = Database(url, Metrics())
     _require_file(database.file, settings, may_be_new=args.action == "create")
     logging.getLogger("ddakf_service").addHandler(logging.NullHandler())  # the error that follows has the reason
-    database.open()
+    database.open(upgrade=False)
     for sentence in (*unknown_variables(), *exposures(settings, database)):
         print(f"ddakf keys: {sentence}", file=sys.stderr)
     with closing(database):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import json
 import logging
 import os
@@ -57,6 +58,7 @@ def serve(args: argparse.Namespace, template: Template | None = None) -> int:
 def _serve(settings: Settings, as_json: bool, with_parent: bool, template: Template | None) -> int:
     # The workers read these, so that their log lines have the server's format.
     os.environ.update({f"{ENV_PREFIX}LOG_LEVEL": settings.log_level, f"{ENV_PREFIX}LOG_FORMAT": settings.log_format})
+    _allow_connections()
     announcer = JsonAnnouncer() if as_json else LogAnnouncer() if settings.log_format == "json" else ConsoleAnnouncer()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         try:
@@ -64,6 +66,17 @@ def _serve(settings: Settings, as_json: bool, with_parent: bool, template: Templ
         finally:
             announcer.close()
     return 0
+
+
+def _allow_connections() -> None:
+    """Raises the number of files and connections to what the system allows: shells and services begin with 1,024."""
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with contextlib.suppress(ValueError, OSError):  # macOS allows less than it says
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 async def _run(settings: Settings, announcer: Announcer, with_parent: bool, template: Template | None) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
 import re
 import shutil
+import threading
 import uuid
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 
 import sqlalchemy as sa
@@ -35,6 +38,7 @@ NO_DATA_DIR = "none"  # data_dir of a server without durable state
 _DAY = 86400.0
 _IN_MEMORY_RETENTION = 3600.0  # seconds of history and of ended sessions that stay in memory
 _RETRY_AFTER = 1.0  # seconds
+_MEASURING = 1.0  # seconds that the answer of a disk is waited for
 
 
 class Store:
@@ -47,6 +51,7 @@ class Store:
         registry, history, database, meshes: always present.
         checkpoints: None without ``data_dir`` and ``checkpoint_url``.
         leases: of shared sessions; None: this server shares none.
+        ready: whether this server takes sessions, for the others; called in another thread.
 
     Raises:
         InvalidConfig: with the setting's name. Another server uses the ``data_dir``, the SQLite file, the checkpoint folder
@@ -56,6 +61,8 @@ class Store:
     def __init__(self, settings: Settings, metrics: Metrics):
         self._settings, self.server_id = settings, settings.server_id
         self._heartbeat: Heartbeat | None = None
+        self._measuring: Future[float] | None = None
+        self.ready: Callable[[], bool] = lambda: True
         self._name: ServerName | None = None
         self._locks: list[DataFolder | Lock] = []
         if settings.data_dir != NO_DATA_DIR:
@@ -81,10 +88,16 @@ class Store:
         if self.checkpoints is not None:
             self.checkpoints.open()
 
-    def measure(self, metrics: Metrics) -> None:
-        """Measures the room on the disk of the ``data_dir``. Blocks."""
-        if self._settings.data_dir != NO_DATA_DIR:
-            metrics.store_free.set(_free_bytes(Path(self._settings.data_dir).expanduser()))
+    async def measure(self, metrics: Metrics) -> None:
+        """Measures the room on the disk of the ``data_dir``; a disk that does not answer holds nothing else up."""
+        if self._settings.data_dir == NO_DATA_DIR:
+            return
+        if self._measuring is None or self._measuring.done():
+            self._measuring = now = Future()
+            folder = Path(self._settings.data_dir).expanduser()
+            threading.Thread(target=lambda: now.set_result(_free_bytes(folder)), name="disk", daemon=True).start()
+        await asyncio.wait([asyncio.wrap_future(self._measuring)], timeout=_MEASURING)
+        metrics.store_free.set(self._measuring.result() if self._measuring.done() else math.nan)
 
     def problems(self) -> dict[str, str]:
         """One sentence for each failing part, by its name."""
@@ -111,7 +124,13 @@ class Store:
         s, engine = self._settings, self.database.lasting_connections()
         holds_name = lambda: not self._name.problem  # noqa: E731
         self._heartbeat = Heartbeat(engine, s.server_id, s.gateway_address, s.lease_seconds, holds_name, on_beat)
+        self._heartbeat.ready = lambda: self.ready()
         self._heartbeat.start()
+
+    def announce_readiness(self) -> None:
+        """Tells other servers soon whether this one takes sessions."""
+        if self._heartbeat is not None:
+            self._heartbeat.beat_now()
 
     def announce_drain(self) -> None:
         """Tells other servers that this one takes no more sessions."""

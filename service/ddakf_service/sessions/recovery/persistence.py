@@ -148,7 +148,9 @@ class Persistence:
         return [session_of(record) for record in await self._leases.own_sessions()]
 
     async def delete_stale_checkpoints(self, sessions: Callable[[], Iterable[Session]]) -> None:
-        """Deletes the checkpoints of all other sessions; shared ones of sessions that have ended.
+        """Deletes the checkpoints of sessions that have ended.
+
+        Those of sessions that the database does not have stay, and are told: it may be another one, or an older state of it.
 
         Args:
             sessions: called when the stored checkpoints are known, because sessions may be created meanwhile.
@@ -156,13 +158,15 @@ class Persistence:
         if self._checkpoints is None:
             return
         try:
-            if self._leases is None:
-                await self._checkpoints.keep_only(lambda: [session.uid for session in sessions()])
-                return
             stored = await self._checkpoints.stored()
+            unknown = set(stored)
             for begin in range(0, len(stored), _UIDS_PER_QUERY):
-                for uid in await self._registry.ended_among(stored[begin : begin + _UIDS_PER_QUERY]):
+                part = stored[begin : begin + _UIDS_PER_QUERY]
+                unknown -= set(await self._registry.known_among(part))
+                for uid in await self._registry.ended_among(part):
                     self._checkpoints.delete(uid)
+            if self._leases is None and (unknown := unknown - {session.uid for session in sessions()}):
+                log.warning("%d checkpoints are of sessions that this database does not have; they stay", len(unknown))
         except (OSError, Unavailable) as error:
             log.warning("old checkpoints could not be deleted: %s", error)
 

@@ -16,7 +16,7 @@ import logging
 import re
 import struct
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import monotonic
@@ -199,19 +199,6 @@ class Checkpoints:
         """The sessions that have checkpoints. Raises ``OSError``."""
         names = await asyncio.get_running_loop().run_in_executor(self._readers, self._folders)
         return [int(name, 16) for name in names if _FOLDER_NAME.fullmatch(name)]
-
-    async def keep_only(self, uids: Callable[[], Iterable[int]]) -> None:
-        """Deletes the checkpoints of all other sessions. At the start of a server, some may be left from ended sessions.
-
-        Args:
-            uids: called after the folders are listed, because sessions may be created meanwhile.
-
-        Raises:
-            OSError: the checkpoints cannot be reached.
-        """
-        stored = await self.stored()
-        for uid in set(stored) - set(uids()):
-            self.delete(uid)
 
     def flush(self, timeout: float) -> bool:
         """Waits until the queue is empty; False after ``timeout`` seconds."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import re
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
@@ -20,6 +21,8 @@ from typing import TypeVar
 import alembic.command
 import alembic.config
 import sqlalchemy as sa
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from alembic.util.exc import CommandError
 from ddakf_api.errors import Unavailable
 from sqlalchemy.dialects import postgresql, sqlite
@@ -29,7 +32,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from ddakf.errors import InvalidConfig
 
 from ...observability.metrics import Metrics
-from ..condition import Condition
+from ..condition import Condition, sentence_of
 from ..files.permissions import make_file
 from .row_queue import RowQueue
 
@@ -38,10 +41,14 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 IN_MEMORY = "sqlite://"
+_SECRET = re.compile("password|secret|token|key", re.IGNORECASE)  # in the name of an option of a URL
 
 _GATHER = 0.25  # seconds of rows per write
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 15.0  # seconds between attempts while the database fails
 _PERIODIC_INTERVAL = 3600.0  # seconds between runs of the periodic tasks, such as retention
+_PERIODIC_RETRY = 60.0  # seconds after a run that failed
+_DELETED = 5000  # rows of one transaction; more would fill the write-ahead log, or last longer than a statement may
+_LARGEST_LOG = 1 << 24  # bytes that SQLite's write-ahead log keeps when all of it is in the database
 _READERS = 4  # threads
 _READ_PATIENCE = 5.0  # seconds that a reader waits for a connection; also the timeout of a connection attempt
 _RETRY_AFTER = 5.0  # seconds, for callers that could not read
@@ -80,11 +87,11 @@ class Database:
         self.condition = Condition("database", metrics.store_up, metrics.store_errors)
         self._dropped = metrics.store_dropped
         self._queues: list[RowQueue] = []
-        self._periodic_tasks: list[Callable[[sa.Connection], None]] = []
+        self._periodic_tasks: list[Callable[[sa.Connection], bool]] = []
         self._changed = threading.Condition()
         self._immediate, self._closing = threading.Event(), threading.Event()
         self._immediate_users = 0
-        self._migrated = False
+        self._migrated, self._may_upgrade = False, True
         self._periodic_due = 0.0
         self._thread = threading.Thread(target=self._run, name="database", daemon=True)
         # A pool of its own: readers of an unreachable database must not occupy the shared threads.
@@ -117,8 +124,11 @@ class Database:
         self._queues.append(queue)
         return queue
 
-    def periodic_task(self, run: Callable[[sa.Connection], None]) -> None:
-        """Registers a task of the writing thread, at the start and every hour, in a transaction of its own."""
+    def periodic_task(self, run: Callable[[sa.Connection], bool]) -> None:
+        """Registers a task of the writing thread, at the start and every hour, in transactions of its own.
+
+        It is repeated for as long as it returns that there is more to do; queued rows are written in between.
+        """
         self._periodic_tasks.append(run)
 
     def upsert(self, table: sa.Table, *, fence: str | None = None) -> sa.Insert:
@@ -132,18 +142,22 @@ class Database:
         keeps_order = None if fence is None else table.c[fence] <= insert.excluded[fence]
         return insert.on_conflict_do_update(index_elements=list(table.primary_key.columns), set_=others, where=keeps_order)
 
-    def open(self) -> None:
+    def open(self, *, upgrade: bool = True) -> None:
         """Migrates the tables and starts the writing thread; blocks. An unreachable database is tried again later.
 
+        Args:
+            upgrade: tables of an older version too; servers of that version could not start again.
+
         Raises:
-            InvalidConfig: a newer version of this program created the tables.
+            InvalidConfig: a newer version of this program created the tables, or an older one without ``upgrade``.
         """
+        self._may_upgrade = upgrade
         try:
             self._migrate()
         except CommandError as error:
             self._engine.dispose()
-            shown = self._engine.url.render_as_string(hide_password=True)
-            raise InvalidConfig("database_url", "tables of this version or an older one", f"{shown}: {error}") from None
+            expected = "tables of this version or an older one" if upgrade else "tables of this version"
+            raise InvalidConfig("database_url", expected, f"{_shown(self._engine.url)}: {error}") from None
         except (DBAPIError, OSError) as error:
             self.condition.fails(error)
         self._thread.start()
@@ -238,10 +252,22 @@ class Database:
         for queue in self._queues:
             queue._flush(self._engine)
         if monotonic() >= self._periodic_due:
-            for run in self._periodic_tasks:
-                with self._engine.begin() as connection:
-                    run(connection)
-            self._periodic_due = monotonic() + _PERIODIC_INTERVAL
+            self._periodic_due = monotonic() + (_PERIODIC_INTERVAL if self._clean_up() else _PERIODIC_RETRY)
+
+    def _clean_up(self) -> bool:
+        """Runs the periodic tasks; whether none failed. That rows stay longer is no failure of the database."""
+        for run in self._periodic_tasks:
+            more = True
+            while more and not self._closing.is_set():
+                try:
+                    with self._engine.begin() as connection:
+                        more = run(connection)
+                except (DBAPIError, OSError) as error:
+                    log.warning("old rows could not be deleted: %s; tried again in a minute", sentence_of(error))
+                    return False
+                for queue in self._queues:
+                    queue._flush(self._engine)
+        return True
 
     def _wait_for_rows(self) -> None:
         with self._changed:
@@ -261,8 +287,20 @@ class Database:
             if connection.dialect.name == "postgresql":  # SQLite's transaction is exclusive
                 connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_MIGRATION_LOCK)))
             config.attributes["connection"] = connection
+            now = MigrationContext.configure(connection).get_current_revision()
+            newest = ScriptDirectory.from_config(config).get_current_head()
+            if not self._may_upgrade and now not in (None, newest):
+                raise CommandError(f"tables of version {now} of another release, whose own command is needed")
             alembic.command.upgrade(config, "head")
         self._migrated = True
+
+
+def delete_some(connection: sa.Connection, table: sa.Table, condition: sa.ColumnElement[bool]) -> bool:
+    """Deletes some rows of a condition, and returns whether there may be more. Servers that do so together share the rows."""
+    keys = list(table.primary_key.columns)
+    chosen = sa.select(*keys).where(condition).limit(_DELETED).with_for_update(skip_locked=True)
+    among = keys[0] if len(keys) == 1 else sa.tuple_(*keys)
+    return connection.execute(sa.delete(table).where(among.in_(chosen))).rowcount >= _DELETED
 
 
 def _engine(url: str) -> sa.Engine:
@@ -271,7 +309,7 @@ def _engine(url: str) -> sa.Engine:
         parsed = sa.make_url(url)
     except ArgumentError:
         raise InvalidConfig("database_url", expected, "text that is no URL") from None  # without the text: it may hold a password
-    shown = parsed.render_as_string(hide_password=True)
+    shown = _shown(parsed)
     if parsed.get_backend_name() not in _INSERTS:
         raise InvalidConfig("database_url", expected, shown)
     try:
@@ -295,6 +333,12 @@ def _engine(url: str) -> sa.Engine:
     return engine
 
 
+def _shown(url: sa.URL) -> str:
+    """The URL without the password, wherever that stands."""
+    hidden = dict.fromkeys((name for name in url.query if _SECRET.search(name)), "***")
+    return url.update_query_dict(hidden).render_as_string(hide_password=True)
+
+
 def _file(url: sa.URL) -> Path | None:
     """The file of a SQLite URL; None for memory or another database."""
     if url.get_backend_name() != "sqlite" or url.database in (None, "", ":memory:"):
@@ -313,6 +357,7 @@ def _prepare_sqlite(connection, _) -> None:
             if monotonic() > deadline:
                 raise
             sleep(_WAL_PAUSE)
+    connection.execute(f"PRAGMA journal_size_limit = {_LARGEST_LOG}")
     connection.execute("PRAGMA synchronous = NORMAL")  # with WAL a power cut loses at most the last commits and damages nothing
 
 

@@ -21,6 +21,7 @@ log = logging.getLogger(__name__)
 
 _BEATS = 3  # per span of a lease
 _RETRY_INTERVAL = 0.5  # seconds
+_STOP_PATIENCE = 3.0  # seconds
 _LISTENING = 0.2  # seconds between looks at the end of the thread
 _ERRORS = (SQLAlchemyError, OSError)
 
@@ -51,6 +52,7 @@ class Heartbeat:
 
     Attributes:
         draining: other gateways should not send clients here.
+        ready: whether this one takes sessions; without workers it does not.
     """
 
     def __init__(
@@ -64,7 +66,7 @@ class Heartbeat:
     ):
         self._engine, self._gateway, self._address, self._seconds = engine, gateway, address, seconds
         self._may_beat, self._on_beat = may_beat, on_beat
-        self.draining = False
+        self.draining, self.ready = False, lambda: True
         self._begun = False
         self._closing, self._wanted = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="heartbeat", daemon=True)
@@ -77,10 +79,10 @@ class Heartbeat:
         self._wanted.set()
 
     def stop(self) -> None:
-        """Ends the thread, and the gateway's row with it; blocks."""
+        """Ends the thread, and the gateway's row with it; blocks for some seconds. The row expires where the database hangs."""
         self._closing.set()
         if self._thread.ident is not None:
-            self._thread.join()
+            self._thread.join(_STOP_PATIENCE)
         self._engine.dispose()
 
     def _run(self) -> None:
@@ -110,7 +112,7 @@ class Heartbeat:
 
     def _beat(self, connection: sa.Connection) -> Beat:
         began = monotonic()
-        row = self._gateway, self._address, self._seconds, self.draining
+        row = self._gateway, self._address, self._seconds, self.draining or not self.ready()
         if not (self._begun and leases.renew(connection, *row)):
             with self._engine.execution_options(isolation_level="READ COMMITTED").begin() as transaction:
                 leases.reclaim(transaction, *row)

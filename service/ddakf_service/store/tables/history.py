@@ -13,7 +13,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from ..clock import clock
-from .database import Database
+from .database import Database, delete_some
 from .schema import history, state_changes
 
 _CAPACITY = 50_000  # queued rows while the database cannot be reached; about half a kilobyte each
@@ -242,10 +242,10 @@ class History:
     def _write_changes(self, connection: sa.Connection, changes: list[Change]) -> None:
         connection.execute(self._database.upsert(state_changes), [change._asdict() for change in changes])
 
-    def _forget_old(self, connection: sa.Connection) -> None:
+    def _forget_old(self, connection: sa.Connection) -> bool:
         before = self._clock() - self._retention
-        connection.execute(sa.delete(history).where(history.c.second < before))
-        connection.execute(sa.delete(state_changes).where(state_changes.c.time < before))
+        old = ((history, history.c.second < before), (state_changes, state_changes.c.time < before))
+        return any([delete_some(connection, table, condition) for table, condition in old])
 
 
 def _message(name: str, step: int, sums: list[Aggregate], changes: list[Change]) -> pb.SessionHistory:

@@ -10,7 +10,7 @@ import sqlalchemy as sa
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..clock import clock
-from .database import Database
+from .database import Database, delete_some
 from .schema import leases, requests, sessions
 from .session_record import SessionRecord
 
@@ -90,6 +90,11 @@ class Registry:
         query = sa.select(sessions.c.uid).where(sessions.c.uid.in_(uids), sessions.c.end_time.is_not(None))
         return await self._database.read(lambda c: list(c.execute(query).scalars()))
 
+    async def known_among(self, uids: list[int]) -> list[int]:
+        """Those of some sessions that the database has. Raises ``Unavailable``."""
+        query = sa.select(sessions.c.uid).where(sessions.c.uid.in_(uids))
+        return await self._database.read(lambda c: list(c.execute(query).scalars()))
+
     async def request(self, uid: int) -> bytes | None:
         """The request stored by :meth:`save_request`, or None.
 
@@ -157,10 +162,10 @@ class Registry:
         for table in (requests, leases):
             connection.execute(sa.delete(table).where(table.c.uid.in_(over)))
 
-    def _forget_old(self, connection: sa.Connection) -> None:
-        connection.execute(sa.delete(sessions).where(sessions.c.end_time < clock.now() - self._retention))
+    def _forget_old(self, connection: sa.Connection) -> bool:
+        more = delete_some(connection, sessions, sessions.c.end_time < clock.now() - self._retention)
         alive = sa.select(sessions.c.uid).where(sessions.c.end_time.is_(None))
-        connection.execute(sa.delete(requests).where(requests.c.uid.not_in(alive)))
+        return delete_some(connection, requests, requests.c.uid.not_in(alive)) or more
 
 
 def _row(record: SessionRecord) -> dict:

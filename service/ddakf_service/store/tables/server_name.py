@@ -68,11 +68,12 @@ class ServerName:
         self._thread.start()
 
     def release(self) -> None:
-        """Releases the name; blocks."""
+        """Releases the name; blocks for some seconds. Where the database hangs, the end of the process releases it."""
         self._closing.set()
         if self._thread.ident is not None:
-            self._thread.join()
-        self._disconnect()
+            self._thread.join(_PATIENCE)
+        if not self._thread.is_alive():  # which has the connection
+            self._disconnect()
         self._engine.dispose()
 
     def _renew(self) -> None:

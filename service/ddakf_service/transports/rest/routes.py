@@ -210,7 +210,7 @@ def _add_server_routes(
     @app.get("/metrics", tags=["health"], response_class=PlainTextResponse)
     async def metrics_page() -> Response:
         """Prometheus exposition."""
-        await asyncio.to_thread(store.measure, metrics)
+        await store.measure(metrics)
         return Response(generate_latest(metrics.registry), media_type=CONTENT_TYPE_LATEST)
 
     @app.get("/v1/info", tags=["server"], responses={**answer_of(pb.ServerInfo), **error_responses(InvalidArgument)})

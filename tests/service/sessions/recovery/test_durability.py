@@ -41,13 +41,13 @@ class Restartable:
     def __init__(self, folder):
         ports = [str(lasting_port()) for _ in range(2)]
         self._data = folder / "data"
-        self._arguments = ["--workers", "1", "--spare-workers", "0", "--checkpoint-every", "4", "--drain-grace", "1"]
-        self._arguments += ["--grpc-port", ports[0], "--http-port", ports[1], "--data-dir", str(self._data)]
-        self._log = folder / "service.log"
+        self.arguments = ["--workers", "1", "--spare-workers", "0", "--checkpoint-every", "4", "--drain-grace", "1"]
+        self.arguments += ["--grpc-port", ports[0], "--http-port", ports[1], "--data-dir", str(self._data)]
+        self.log = folder / "service.log"
         self.start()
 
     def start(self) -> None:
-        self.process = ServiceProcess(self._arguments, log=self._log)
+        self.process = ServiceProcess(self.arguments, log=self.log)
         self.process.wait_until_ready()
 
     def registered(self, name: str) -> list[pb.Session]:
@@ -350,6 +350,31 @@ def test_a_frame_that_was_tracked_while_its_stream_ended_is_known_to_the_next_st
     assert again.ask(frame_of(sheet, 3))[-1].result.frames_applied == 3
     again.end()
     api.delete(name)
+
+
+def test_a_start_with_another_database_leaves_the_checkpoints(restartable, sheet, tmp_path):
+    """As where a variable with its address was forgotten."""
+    api = Api(restartable.process.grpc)
+    name = api.create(sheet).name
+    talk = Talk(api, name)
+    for number in range(1, 9):
+        talk.ask(frame_of(sheet, number, shift=(0.001 * number, 0, 0)))
+    talk.end()
+    api.channel.close()
+    restartable.process.stop(signal.SIGTERM)
+    other = ServiceProcess([*restartable.arguments, "--database-url", f"sqlite:///{tmp_path}/other"], log=restartable.log)
+    other.wait_until_ready()
+    eventually(lambda: "1 checkpoints are of sessions that this database does not have" in restartable.log.read_text())
+    other.stop(signal.SIGTERM)
+    restartable.start()
+    api = Api(restartable.process.grpc)
+    talk = Talk(api, name)
+    assert talk.started.last_sequence_number == 8
+    assert talk.ask(frame_of(sheet, 9, shift=(0.009, 0, 0)))[-1].result.frames_applied == 9
+    assert api.get(name).statistics.frames_lost == 0
+    talk.end()
+    api.delete(name)
+    api.channel.close()
 
 
 def test_an_orderly_restart_forgets_nothing(restartable, sheet):

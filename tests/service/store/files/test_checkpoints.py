@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import os
 import struct
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -134,26 +132,11 @@ async def test_ended_sessions_leave_nothing(opened, tmp_path):
     assert checkpoints.flush(PATIENCE)
     assert other.flush(PATIENCE)
     checkpoints.delete(1)
-    await checkpoints.keep_only(lambda: [2])
+    checkpoints.delete(3)
     assert checkpoints.flush(PATIENCE)
     assert [await checkpoints.newest(uid) for uid in (1, 2, 3)] == [None, snapshot(2), None]
     assert await other.newest(4) == snapshot(4)
     assert len(files(tmp_path)) == 2
-
-
-async def test_a_session_that_begins_while_old_checkpoints_are_looked_for_keeps_its_own(opened, tmp_path):
-    checkpoints, alive, may_look = opened(str(tmp_path)), [], threading.Event()
-    busy = [checkpoints._readers.submit(may_look.wait) for _ in range(4)]
-    cleaning = asyncio.create_task(checkpoints.keep_only(lambda: alive))
-    await asyncio.sleep(0)
-    alive.append(1)
-    checkpoints.save(1, snapshot(1))
-    assert checkpoints.flush(PATIENCE)
-    may_look.set()
-    await cleaning
-    assert checkpoints.flush(PATIENCE)
-    assert all(reader.result() for reader in busy)
-    assert await checkpoints.newest(1) == snapshot(1)
 
 
 def spoil(data: bytes) -> dict[str, bytes]:

@@ -6,17 +6,20 @@ import asyncio
 import contextlib
 import sqlite3
 import threading
+import uuid
 
 import pytest
 import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from ddakf_api.errors import Unavailable
-from ddakf_service.store.tables.database import IN_MEMORY, Database
+from ddakf_service.store.tables import database as database_module
+from ddakf_service.store.tables.database import IN_MEMORY, Database, delete_some
 from ddakf_service.store.tables.schema import api_keys, metadata, state_changes
 
 from ddakf.errors import InvalidConfig
 
+from ...conftest import eventually
 from ..conftest import PATIENCE, fill
 
 
@@ -79,6 +82,99 @@ def test_tables_of_a_newer_version_are_refused(opened, url, metrics):
     database.close()
     with pytest.raises(InvalidConfig, match="database_url"):
         Database(url, metrics).open()
+
+
+def test_tables_of_an_older_version_stay_as_they_are_where_asked(opened, url, metrics):
+    """As by `ddakf keys`: servers of that version could not start again."""
+    Database(url, metrics).open(upgrade=False)  # a new database has no version
+    database = opened(url)
+    database.read_now(lambda c: c.execute(sa.text("UPDATE alembic_version SET version_num = '0004'")))
+    database.close()
+    with pytest.raises(InvalidConfig, match=r"database_url: expected tables of this version, got .*tables of version 0004"):
+        Database(url, metrics).open(upgrade=False)
+
+
+def test_a_password_among_the_options_of_a_url_is_not_shown(postgres, metrics):
+    url = sa.make_url(postgres.new_database(f"shown-{uuid.uuid4()}"))
+    database = Database(url.update_query_dict({"password": "s3cret"}).render_as_string(hide_password=False), metrics)
+    database.open()
+    database.read_now(lambda c: c.execute(sa.text("UPDATE alembic_version SET version_num = '9999'")))
+    database.close()
+    with pytest.raises(InvalidConfig) as caught:
+        Database(url.update_query_dict({"password": "s3cret"}).render_as_string(hide_password=False), metrics).open()
+    assert "s3cret" not in str(caught.value)
+
+
+def old_changes(count: int):
+    """Fills a table, and tells a database to delete all of it, in parts; the deletions, with what waits to be written by then."""
+    deletions = []
+
+    def attach(database: Database) -> None:
+        queue = changes_queue(database)
+
+        def forget(connection) -> bool:
+            deletions.append((connection.execute(sa.select(sa.func.count()).select_from(state_changes)).scalar_one(), len(queue)))
+            queue.put(-len(deletions), change(-len(deletions)))
+            return delete_some(connection, state_changes, state_changes.c.time > 0.0)
+
+        database.periodic_task(forget)
+
+    def fill_with(database: Database) -> None:
+        rows = [change(number) for number in range(1, count + 1)]
+        database.read_now(lambda c: c.execute(sa.insert(state_changes), rows))
+
+    return fill_with, attach, deletions
+
+
+def test_many_old_rows_go_in_parts_and_new_ones_are_written_in_between(opened, url, monkeypatch):
+    monkeypatch.setattr(database_module, "_DELETED", 1000)
+    fill_with, attach, deletions = old_changes(3500)
+    first = opened(url)
+    fill_with(first)
+    first.close()
+    database = opened(url, attach=attach)
+    eventually(lambda: len(deletions) == 4)
+    assert database.flush(PATIENCE)
+    assert deletions == [(3500, 0), (2501, 0), (1502, 0), (503, 0)], "the row that each run puts is written before the next"
+    assert sorted(stored(database)) == [-4.0, -3.0, -2.0, -1.0]
+
+
+def test_old_rows_that_cannot_be_deleted_are_no_fault_of_the_database(opened, url, monkeypatch):
+    monkeypatch.setattr(database_module, "_PERIODIC_RETRY", 0.2)
+    calls = []
+
+    def fails_twice(connection) -> bool:
+        calls.append(connection)
+        if len(calls) < 3:
+            raise sa.exc.OperationalError("DELETE", {}, sqlite3.OperationalError("canceling statement due to statement timeout"))
+        return False
+
+    database = opened(url, attach=lambda database: database.periodic_task(fails_twice))
+    eventually(lambda: len(calls) == 1 or database.condition.problem)
+    assert database.condition.problem == ""
+    eventually(lambda: len(calls) == 3)
+    assert database.condition.problem == ""
+
+
+def test_the_log_of_sqlite_stays_small_while_many_rows_go(tmp_path, opened):
+    """Rows are often deleted because the disk is full: in one transaction the log would be as large as the table."""
+    path = tmp_path / "test.sqlite"
+    first = opened(f"sqlite:///{path}")
+    rows = [change(number) for number in range(500_000)]
+    first.read_now(lambda c: c.execute(sa.insert(state_changes), rows))
+    first.close()
+    assert path.stat().st_size > 9e6
+    done = []
+
+    def forget(connection) -> bool:
+        done.append(delete_some(connection, state_changes, state_changes.c.time >= 0.0))
+        return done[-1]
+
+    database = opened(f"sqlite:///{path}", attach=lambda database: database.periodic_task(forget))
+    eventually(lambda: done and not done[-1])
+    assert database.flush(PATIENCE)
+    eventually(lambda: stored(database) == {})
+    assert database.files()[1].stat().st_size < 6e6
 
 
 @pytest.mark.parametrize("url", ["mysql://u:secret@h/d", "postgresql+nothing://u:secret@h/d", "u:secret", ""])

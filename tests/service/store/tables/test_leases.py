@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 import uuid
 from dataclasses import replace
@@ -12,6 +13,7 @@ import sqlalchemy as sa
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.sessions.session import Session
 from ddakf_service.store import clock
+from ddakf_service.store.tables import heartbeat
 from ddakf_service.store.tables import leases as table
 from ddakf_service.store.tables.heartbeat import Heartbeat
 from ddakf_service.store.tables.leases import Leases
@@ -217,6 +219,38 @@ async def test_clients_are_sent_to_the_gateway_with_the_fewest_sessions(here, th
     for gateway in ("there", "idle"):
         expire(connection, gateway)
     assert await here.another_gateway() == ""
+
+
+async def test_no_client_is_sent_to_a_gateway_that_is_not_ready(database, here):
+    ready, beats = threading.Event(), []
+    heart = Heartbeat(database.lasting_connections(), "starting", "starting:1", SPAN, lambda: True, beats.append)
+    heart.ready = ready.is_set
+    heart.start()
+    try:
+        eventually(lambda: beats, PATIENCE)
+        assert await here.another_gateway() == ""
+        ready.set()
+        heart.beat_now()
+        eventually(lambda: len(beats) > 1, PATIENCE)
+        assert await here.another_gateway() == "starting:1"
+    finally:
+        await asyncio.to_thread(heart.stop)
+
+
+def test_a_database_that_hangs_holds_no_stop_up(database, connection, monkeypatch):
+    """As where its machine answers the network and nothing else: the lock stands for that."""
+    monkeypatch.setattr(heartbeat, "_STOP_PATIENCE", 0.5)
+    beats = []
+    heart = Heartbeat(database.lasting_connections(), "here", "", 0.3, lambda: True, beats.append)
+    heart.start()
+    eventually(lambda: beats, PATIENCE)
+    connection.execute(sa.text("BEGIN"))
+    connection.execute(sa.text("LOCK TABLE gateways IN ACCESS EXCLUSIVE MODE"))
+    time.sleep(0.5)  # the next beat waits
+    begun = time.monotonic()
+    heart.stop()
+    assert time.monotonic() - begun < 3
+    connection.execute(sa.text("ROLLBACK"))
 
 
 async def test_abandoned_sessions_are_those_that_nobody_serves_and_that_have_expired(url, opened):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
+import threading
+import time
 import uuid
 
 import pytest
@@ -13,6 +16,7 @@ from ddakf_service.observability.metrics import Metrics
 from ddakf_service.sessions.recovery.persistence import Persistence
 from ddakf_service.sessions.recovery.tenure import Tenure
 from ddakf_service.settings import Settings
+from ddakf_service.store import store as store_module
 from ddakf_service.store.store import Store
 from ddakf_service.store.tables import server_name
 
@@ -99,6 +103,41 @@ def test_a_connection_that_is_cut_is_made_again_and_holds_the_name(store, admin)
     cut(admin)
     eventually(lambda: held(admin) not in ([], before))
     eventually(lambda: opened.problems() == {})
+
+
+def test_a_database_that_hangs_holds_no_release_up(store, monkeypatch):
+    monkeypatch.setattr(server_name, "_PATIENCE", 0.5)
+    opened, hanging, released = store("stage-a"), threading.Event(), threading.Event()
+
+    def hang(*_):
+        hanging.set()
+        released.wait(TIMEOUT)
+
+    monkeypatch.setattr(opened._name, "_check", hang)
+    assert hanging.wait(TIMEOUT)
+    begun = time.monotonic()
+    opened._name.release()
+    assert time.monotonic() - begun < 3
+    released.set()
+
+
+async def test_a_disk_that_does_not_answer_holds_no_metrics_up(store, monkeypatch):
+    opened, answers = store("stage-a"), threading.Event()
+    measured = Metrics()
+    free = lambda: measured.registry.get_sample_value("ddakf_store_free_bytes")  # noqa: E731
+    await opened.measure(measured)
+    assert free() > 0
+    monkeypatch.setattr(store_module, "_MEASURING", 0.1)
+    monkeypatch.setattr(store_module, "_free_bytes", lambda folder: answers.wait(TIMEOUT) and 5.0)
+    before = threading.active_count()
+    for _ in range(3):
+        await opened.measure(measured)
+        assert math.isnan(free())
+    assert threading.active_count() == before + 1, "one question at a time"
+    answers.set()
+    eventually(lambda: opened._measuring.done())
+    await opened.measure(measured)
+    assert free() == 5.0
 
 
 async def test_a_name_that_another_server_took_meanwhile_is_a_problem_and_its_sessions_are_left_alone(store, admin):
