@@ -46,7 +46,7 @@ class RayActors:
         self._limits, self._address = limits, address
         self._lock = asyncio.Lock()
         self._server: asyncio.Server | None = None
-        self._host = ""
+        self._host = self._node = ""
         self._connected_here = False
         self._draining: frozenset[str] = frozenset()  # nodes
         self._following: asyncio.Task[None] | None = None
@@ -61,10 +61,10 @@ class RayActors:
         async with self._lock:
             if self._server is None:
                 await self._connect()
+            port = self._server.sockets[0].getsockname()[1]
         progress("loading", 0, 1, "an actor on the Ray cluster")
         token = secrets.token_bytes(_TOKEN_BYTES)
         arrival = self._expected[token] = asyncio.get_running_loop().create_future()
-        port = self._server.sockets[0].getsockname()[1]
         creation = asyncio.ensure_future(asyncio.to_thread(ActorProcess, self._host, port, token, self._limits.to_json()))
         try:
             process = await asyncio.shield(creation)  # a thread cannot be cancelled
@@ -105,18 +105,34 @@ class RayActors:
                 raise WorkerStartFailed(f"the Ray cluster {self._address!r} cannot be reached: {_first_line(error)}") from None
             self._connected_here = True
             _keep_own_handler_of_sigterm()
-        self._host = ray.util.get_node_ip_address()
+        self._host, self._node = ray.util.get_node_ip_address(), ray.get_runtime_context().get_node_id()
         self._server = await asyncio.start_server(self._arrived, self._host, 0, limit=STREAM_BUFFER)
         self._following = asyncio.create_task(self._follow_nodes())
 
     async def _follow_nodes(self) -> None:
-        """Keeps the set of nodes that drain: Ray places no actors on these, and ends them at their deadline."""
+        """Keeps the set of nodes that drain: Ray places no actors on these, and ends them at their deadline.
+
+        It ends with the node of this server, from which no actor can be created any more; the next worker connects again.
+        """
         while True:
             await asyncio.sleep(_NODES_INTERVAL)
+            if self._connected_here and await asyncio.to_thread(_has_ended, self._node):
+                log.error("the Ray node of this server has ended; the server connects to the cluster again")
+                return await self._disconnect()
             draining = await asyncio.to_thread(_draining_nodes)
             for node in draining - self._draining:
                 log.info("a node drains; its sessions move", extra={"node": node})
             self._draining = draining
+
+    async def _disconnect(self) -> None:
+        """Leaves the cluster, of which the actors that were created from here end. Who waits for one learns of it."""
+        async with self._lock:
+            self._server.close()
+            self._server, self._draining = None, frozenset()
+            for arrival in self._expected.values():
+                if not arrival.done():
+                    arrival.set_exception(WorkerStartFailed("the Ray node of this server has ended"))
+            await asyncio.to_thread(ray.shutdown)
 
     async def _arrived(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """A connection: that of an actor begins with its token and the id of its node, any other is closed."""
@@ -157,6 +173,8 @@ class ActorProcess:
     def kill(self) -> None:
         """Ends the actor at once, or as soon as Ray reaches its node."""
         self._killed = True
+        if not ray.is_initialized():  # its calls would start a cluster of their own; the actor ends with the connection
+            return
         try:
             ray.kill(self._actor, no_restart=True)
         except _RAY_ERRORS:  # it has ended, or the cluster has
@@ -164,6 +182,8 @@ class ActorProcess:
 
     def failure(self) -> str:
         """The reason of its end in one line; empty while it works."""
+        if not ray.is_initialized():
+            return "the connection to the cluster has ended"
         try:
             if not ray.wait([self._ending], timeout=0)[0]:
                 return ""
@@ -250,6 +270,15 @@ def _draining_nodes() -> frozenset[str]:
     except (ImportError, AttributeError, *_RAY_ERRORS):
         log.debug("the nodes that drain are not known", exc_info=True)
         return frozenset()
+
+
+def _has_ended(node: str) -> bool:
+    """Whether the cluster knows that a node has ended; False while the cluster does not answer."""
+    try:
+        return any(each["NodeID"] == node and not each["Alive"] for each in ray.nodes())
+    except _RAY_ERRORS:
+        log.debug("the nodes of the cluster are not known", exc_info=True)
+        return False
 
 
 def _keep_own_handler_of_sigterm() -> None:

@@ -12,6 +12,7 @@ from ddakf_service.workers.template import WorkerStartFailed
 from .test_pool import LIMITS
 
 ray = pytest.importorskip("ray", reason="ray is not installed: pip install 'ddakf[ray]'")
+from ddakf_service.workers import ray_actors  # noqa: E402
 from ddakf_service.workers.ray_actors import ActorProcess, RayActors  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -113,3 +114,36 @@ async def test_without_its_cluster_no_worker_starts_and_the_pool_may_try_again(c
     assert not ray.is_initialized(), "no call has started another cluster"
     assert source._expected == {}
     await source.end()
+
+
+async def test_the_end_of_the_servers_own_node_is_noticed_and_the_next_worker_connects_again(cluster, monkeypatch):
+    """Actors cannot be created from a node that has ended, though its cluster goes on."""
+    monkeypatch.setattr(ray_actors, "_NODES_INTERVAL", 0.2)
+    source, ended = RayActors(LIMITS, cluster.address), []
+    monkeypatch.setattr(ray_actors, "_has_ended", lambda node: bool(ended))
+    first = await source.worker(nothing)
+    waiting = asyncio.create_task(source.worker(nothing))
+    while not source._expected:
+        await asyncio.sleep(0)
+    ended.append(source._node)
+    with pytest.raises(WorkerStartFailed):
+        await waiting
+    await source._following
+    ended.clear()
+    assert not ray.is_initialized()
+    assert await asyncio.to_thread(first.process.wait, PATIENCE) == 1
+    first.writer.close()
+    again = await source.worker(nothing)
+    assert again.process.pid > 0
+    again.writer.close()
+    await asyncio.to_thread(again.process.wait, PATIENCE)
+    await source.end()
+
+
+def test_the_state_of_a_node_is_that_of_the_cluster(connected):
+    node = ray.get_runtime_context().get_node_id()
+    assert not ray_actors._has_ended(node)
+    assert not ray_actors._has_ended("of another cluster")
+    ray.shutdown()
+    assert not ray_actors._has_ended(node), "nobody knows"
+    assert not ray.is_initialized()
