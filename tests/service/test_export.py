@@ -53,6 +53,14 @@ def test_a_shorter_export_leaves_no_frames_of_a_longer_one(tmp_path):
     assert len(list((tmp_path / "truth").iterdir())) == len(list((tmp_path / "body").iterdir())) == 2
 
 
+def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
+    for content in ("no JSON", "{}", '{"frames": [1]}'):
+        (tmp_path / "sequence.json").write_text(content)
+        assert cli.main(["demo", "--export", str(tmp_path), "--frames", "1"]) == 2
+        assert "export: expected a new folder, or one of an earlier export" in capsys.readouterr().err
+        assert [path.name for path in tmp_path.iterdir()] == ["sequence.json"]
+
+
 def test_a_wrong_number_of_frames_writes_nothing(tmp_path, capsys):
     assert cli.main(["demo", "--export", str(tmp_path / "new"), "--frames", "0"]) == 2
     assert "frames: expected a number from 1 to 150, got 0" in capsys.readouterr().err

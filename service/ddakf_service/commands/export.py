@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import track
 
 from ddakf import data
+from ddakf.errors import InvalidArgument
 from ddakf.evaluation.sensors import Cloud, Sensor
 from ddakf.files.io import write_mesh, write_points
 from ddakf.files.sequence import Sequence
@@ -57,10 +58,16 @@ def export(args: argparse.Namespace, count: int) -> int:
 
 def _remove_frames(folder: Path) -> None:
     """Removes the frames of an earlier export, of which there may be more."""
-    if (folder / _SEQUENCE).is_file():
-        for frame in json.loads((folder / _SEQUENCE).read_text())["frames"]:
-            for kind in _KINDS:
-                (folder / kind / Path(frame[kind]).name).unlink(missing_ok=True)
+    if not (folder / _SEQUENCE).is_file():
+        return
+    try:
+        frames = json.loads((folder / _SEQUENCE).read_text())["frames"]
+        files = [folder / kind / Path(frame[kind]).name for frame in frames for kind in _KINDS]
+    except (ValueError, KeyError, TypeError) as error:
+        got = f"{folder} with another {_SEQUENCE}"
+        raise InvalidArgument("export", "a new folder, or one of an earlier export", got) from error
+    for file in files:
+        file.unlink(missing_ok=True)
 
 
 def _write_frame(folder: Path, sequence: Sequence, number: int, cloud: Cloud) -> dict:
