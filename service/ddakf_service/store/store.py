@@ -124,7 +124,7 @@ class Store:
         s, engine = self._settings, self.database.lasting_connections()
         holds_name = lambda: not self._name.problem  # noqa: E731
         self._heartbeat = Heartbeat(engine, s.server_id, s.gateway_address, s.lease_seconds, holds_name, on_beat)
-        self._heartbeat.ready = lambda: self.ready()
+        self._heartbeat.ready = self.ready
         self._heartbeat.start()
 
     def announce_readiness(self) -> None:
