@@ -119,3 +119,25 @@ def test_soft_enough_it_follows_a_smooth_deformation(garment):
         truth = widened(garment.vertices, 0.02 * k)
         estimate = method.step(CapturedFrame(0, k / 30, sample_surface(truth, garment.faces, 4000, rng)))
     assert normal_rmse_mm(estimate, truth, garment.faces) < 0.6 * normal_rmse_mm(garment.vertices, truth, garment.faces)
+
+
+def test_its_motion_ends_where_it_finds_no_points(garment):
+    method, step = ParticleFilter(ParticleSettings(particles=50)), np.array([0.03, 0.0, 0.0])
+    method.start(garment, garment.vertices, None)
+    for k in range(1, 6):
+        seen = method.step(CapturedFrame(k, k / 30, garment.vertices + k * step)).mean(axis=0)
+    elsewhere = garment.vertices + 50.0
+    for k in range(6, 20):
+        estimate = method.step(CapturedFrame(k, k / 30, elsewhere)).mean(axis=0)
+    assert np.linalg.norm(estimate - seen) < 1.5 * 0.03, "one frame's motion, and noise"
+
+
+def test_a_step_of_the_proposal_stays_within_the_gate(garment):
+    """A small flat patch leaves most of the motion open."""
+    settings = ParticleSettings(particles=20, proposal_steps=1, proposal_gate=0.1, momentum=0.0, shift_sd=1e-6, turn_sd=1e-6)
+    method, rng = ParticleFilter(settings), np.random.default_rng(1)
+    method.start(garment, garment.vertices, None)
+    centre = garment.vertices[garment.vertices[:, 0].argmax()]
+    patch = centre + 0.05 + 0.03 * rng.normal(size=(40, 3)) * [0.02, 1.0, 1.0]
+    estimate = method.step(CapturedFrame(0, 0.1, patch))
+    assert np.linalg.norm(estimate - garment.vertices, axis=1).max() < 0.11

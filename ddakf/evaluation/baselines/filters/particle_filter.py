@@ -5,13 +5,14 @@ processing with manifold harmonics"), the smoothest functions on the garment, on
 
     x_i = R (s_i + sum_k phi_k(i) q_k) + t
 
-with s the vertices of the start around their centroid; with a body, those that it has carried on since the start. Every particle
-moves on as the estimate did between the last two frames. The proposal then looks at the cloud (van der Merwe et al. 2000, "The
-unscented particle filter"): a few steps of non-rigid point-to-plane ICP in the same space move the mean, and all particles with
-it. Its density is taken as flat where that of the motion is. Noise follows, and a weight is multiplied by exp(-E / (2 sd^2)). E
-is the mean over the visible vertices of the squared distance to the nearest point, cut off at a gate, over the hidden ones of
-that to their places on the body, and elasticity sum_k lambda_k |q_k|^2, with the eigenvalues lambda: the squared difference of
-the displacements of neighbouring vertices, per vertex.
+with s the vertices of the start around their centroid; with a body, those that it has carried on since the start. Every
+particle moves on as the estimate did between the last two frames. The proposal then looks at the cloud (van der Merwe et al.
+2000, "The unscented particle filter"): a few steps of non-rigid point-to-plane ICP in the same space move the mean, and all
+particles with it. A step moves no vertex beyond its gate, and where hardly a vertex finds points the next frame has no such
+motion. Its density is taken as flat where that of the motion is. Noise follows, and a weight is multiplied by exp(-E / (2
+sd^2)). E is the mean over the visible vertices of the squared distance to the nearest point, cut off at a gate, over the hidden
+ones of that to their places on the body, and elasticity sum_k lambda_k |q_k|^2, with the eigenvalues lambda: the squared
+difference of the displacements of neighbouring vertices, per vertex.
 
 The likelihood is tempered: sd is the smallest, from ``likelihood_sd`` on, with which the effective sample size 1 / sum w^2 is at
 least ``least_size`` (Del Moral, Doucet and Jasra 2012, "An adaptive sequential Monte Carlo method for approximate Bayesian
@@ -36,7 +37,7 @@ from scipy.spatial.transform import Rotation
 
 from ddakf.evaluation.baselines.body_support import HOLD, NoSupport, support_of
 from ddakf.evaluation.baselines.linear_algebra import graph_laplacian
-from ddakf.evaluation.baselines.matching import LEAST_POINTS, MatchSettings, Scan, VertexNormals, facing
+from ddakf.evaluation.baselines.matching import LEAST_POINTS, TINY, MatchSettings, Scan, VertexNormals, facing
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
 
@@ -123,12 +124,13 @@ class ParticleFilter:
         """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""
         self._ride(frame)
         self._move(*self._drift)
+        seen = False
         if len(frame.points) >= LEAST_POINTS:
-            self._propose(frame)
+            seen = self._propose(frame)
             self._look(np.asarray(frame.points, np.float64), frame.sensor_origin)
         turn, shift, amplitude = state = self._mean_state()
         last, self._last = self._last, state
-        momentum = self.settings.momentum
+        momentum = self.settings.momentum * seen
         by = Rotation.from_rotvec(momentum * (turn * last[0].inv()).as_rotvec())
         self._drift = by, momentum * (shift - last[1]), momentum * (amplitude - last[2])
         return self._support.outside(self._mean_vertices())
@@ -153,8 +155,12 @@ class ParticleFilter:
         """Moves every particle."""
         self._turn, self._shift, self._amplitude = turn * self._turn, self._shift + shift, self._amplitude + amplitude
 
-    def _propose(self, frame: CapturedFrame) -> None:
-        """Moves all particles as a few steps of ICP in the reduced space move their mean (Gauss-Newton, point to plane)."""
+    def _propose(self, frame: CapturedFrame) -> bool:
+        """Moves all particles as a few steps of ICP in the reduced space move their mean (Gauss-Newton, point to plane).
+
+        A step moves no vertex farther than the gate within which its points were found. Returns whether as many vertices have
+        points at the end as a cloud must have: otherwise the motion is not that of the garment, and must not go on.
+        """
         settings, phi = self.settings, self._harmonics[self._chosen]
         scan = Scan(frame, MatchSettings(gate=settings.proposal_gate))
         first = turn, shift, amplitude = self._mean_state()
@@ -177,9 +183,12 @@ class ParticleFilter:
             matrix[np.arange(6, len(right)), np.arange(6, len(right))] += stiff
             right[6:] -= stiff * amplitude.ravel()
             change = np.linalg.solve(matrix + RIDGE * np.eye(len(right)), right)
+            farthest = np.linalg.norm(planes @ change, axis=1).max()
+            change *= min(1.0, settings.proposal_gate / max(farthest, TINY))
             turn = Rotation.from_rotvec(change[:3]) * turn
             shift, amplitude = shift + change[3:6], amplitude + change[6:].reshape(-1, 3)
         self._move(turn * first[0].inv(), shift - first[1], amplitude - first[2])
+        return np.count_nonzero(found.weight) >= LEAST_POINTS
 
     def _look(self, points: np.ndarray, sensor_origin: np.ndarray | None) -> None:
         settings, expected = self.settings, self._mean_vertices()
