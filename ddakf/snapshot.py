@@ -24,7 +24,7 @@ from ddakf.physics import rigidity
 from ddakf.planning.work import Costs, Rate
 from ddakf.plausibility import sensor_poses
 from ddakf.results import TrackerState, WarningCode
-from ddakf.stages.frame_input import MAX_SENSORS
+from ddakf.stages.frame_input import MAX_SENSORS, MAX_TIME
 from ddakf.types import (
     Appearance,
     BodyAnchor,
@@ -42,7 +42,10 @@ from ddakf.types import (
 )
 
 MAGIC = b"DDAKFSNP"
-LARGEST_OF_BODY = 1e6  # m, m/s or faces
+LARGEST_NUMBER = 1e6  # of the state and of the body: m, m/s, their squares, faces
+LARGEST_VARIANCE = 1e4  # m^2, m^2/s^2
+MOST_INFORMATION = 1e15  # 1/m^2, or 1/m, of the sensors' places
+MOST = 1 << 31  # of a count
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
 VERSION = 27
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none, and errors do not
@@ -82,6 +85,7 @@ MOVED = {  # part and field of the configuration before 19, and since
     ("associate", "sighting"): ("associate", "visibility_motion"),
 }
 LARGEST = 3.0  # of the logarithm of a stretch
+ROUNDING = 1e-3  # of covariances and rotations that are right
 SEEN = {"mean": -math.inf, "weight": 0.0, "registered2": 1e-12, "noise2": 0.0}  # of the appearance, at least
 FOUND = ("origin", "shift", "information", "vector")  # of the sensors
 
@@ -146,20 +150,21 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
         tracker = kind(Mesh(arrays["garment_V"], arrays["garment_F"]), body=body, config=config)
         first = tracker._track
         state = {name: like(getattr(first.state, name), arrays, f"state_{name}") for name in State._fields}
-        for block in ("P_pp", "P_uu", "R"):
-            if not (np.diagonal(state[block], axis1=1, axis2=2) > 0).all():
-                raise InvalidSnapshot(f"snapshot.state_{block}", "positive variances", "others")
+        _require_covariances("state_R", state["R"])
+        P_pp, P_pu, P_uu = (state[block] for block in ("P_pp", "P_pu", "P_uu"))
+        _require_covariances("state_P", np.block([[P_pp, P_pu], [P_pu.transpose(0, 2, 1), P_uu]]))
+        time = _time(numbers["time"])
         tracker._track = Track(
             state=State(**state),
-            rotation=like(first.rotation, arrays, "rotation"),
+            rotation=_rotation(first.rotation, arrays),
             drift=_drift(first.drift, arrays, numbers["drift"]),
             strain2=_strain2(numbers["elasticity"]),
             health=_health(numbers["health"]),
-            time=_time(numbers["time"]),
+            time=time,
             body=None if body is None else _body(tracker._setup.body, arrays, tracker._setup.model.mesh.n_vertices),
             anchor=_anchor(tracker, arrays) if "worn_pose" in arrays and body is not None else None,
             view=_view(numbers["view"]),
-            sensors=_sensors(arrays, numbers.get("sensors")),  # absent from earlier snapshots
+            sensors=_sensors(arrays, numbers.get("sensors"), time),  # absent from earlier snapshots
             signs=_signs(numbers["signs"]),
             costs=_costs(numbers.get("costs")),  # absent from earlier snapshots
             resting=_resting(tracker, arrays),
@@ -168,7 +173,7 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
             palette=_palette(tracker, arrays) if "palette_counts" in arrays else None,
             offset=like(first.state.position, arrays, "offset") if "offset" in arrays else None,
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise InvalidSnapshot("snapshot", "the state of a tracker", str(error)) from None
     return tracker
 
@@ -208,8 +213,8 @@ def _body(body: BodyModel, arrays: dict[str, np.ndarray], n: int) -> BodyTrack:
     turn = int(arrays.get("contact_turn", 0))  # this and the next are absent from earlier snapshots
     unposed, span = (float(arrays.get(f"contact_{name}", 0.0)) for name in ("unposed", "span"))
     intruded = tuple(arrays.get("contact_intruded", np.zeros(2)).tolist())
-    if len(intruded) != 2 or not all(0.0 <= value < math.inf for value in (unposed, span, *intruded)):
-        raise ValueError("contact_unposed, contact_span or contact_intruded is no number that is not negative")
+    if len(intruded) != 2 or not all(0.0 <= value <= MAX_TIME for value in (unposed, span, *intruded)) or not 0 <= turn < MOST:
+        raise ValueError("contact_unposed, contact_span, contact_turn or contact_intruded is no number that is not negative")
     return BodyTrack(
         vertices, present, found["velocity"], contacts, found["gap"], turn, found["motion"], unposed, span, intruded
     )
@@ -223,30 +228,51 @@ def _bounded(array: np.ndarray | None, name: str, model: np.ndarray) -> np.ndarr
     """
     if array is None or (array.shape == model.shape and array.dtype == model.dtype and _possible(array, name).all()):
         return array
-    what = f"{model.dtype} of shape {model.shape}, up to {LARGEST_OF_BODY:g}"
+    what = f"{model.dtype} of shape {model.shape}, up to {LARGEST_NUMBER:g}"
     raise ValueError(f"contact_{name}: expected {what}, got {array.dtype} of shape {array.shape}")
 
 
 def _possible(array: np.ndarray, name: str) -> np.ndarray:
-    return (np.abs(array) <= LARGEST_OF_BODY) | ((name == "distance") & (array == np.inf))  # of a vertex without a closest point
+    return (np.abs(array) <= LARGEST_NUMBER) | ((name == "distance") & (array == np.inf))  # of a vertex without a closest point
 
 
-def like(model: np.ndarray, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """The array of this name, which must have the shape and type of ``model`` and finite numbers."""
+def like(model: np.ndarray, arrays: dict[str, np.ndarray], name: str, largest: float = LARGEST_NUMBER) -> np.ndarray:
+    """The array of this name, which must have the shape and type of ``model`` and numbers up to ``largest``."""
     array = arrays[name]
-    if array.shape != model.shape or array.dtype != model.dtype or not np.isfinite(array).all():
-        raise InvalidSnapshot(f"snapshot.{name}", f"finite {model.dtype} of shape {model.shape}", f"{array.dtype} {array.shape}")
+    if array.shape != model.shape or array.dtype != model.dtype or not (np.abs(array) <= largest).all():
+        what = f"{model.dtype} of shape {model.shape}, up to {largest:g}"
+        raise InvalidSnapshot(f"snapshot.{name}", what, f"{array.dtype} {array.shape}")
     return array
+
+
+def _require_covariances(name: str, matrices: np.ndarray) -> None:
+    """Refuses (..., n, n) that are no covariances.
+
+    Raises:
+        InvalidSnapshot: variances that are not positive or too large, or an eigenvalue below what rounding leaves.
+    """
+    variances = np.diagonal(matrices, axis1=-2, axis2=-1)
+    positive = ((variances > 0) & (variances <= LARGEST_VARIANCE)).all()
+    symmetric = np.abs(matrices - np.swapaxes(matrices, -2, -1)).max() <= ROUNDING * np.abs(matrices).max()
+    values = np.linalg.eigvalsh(matrices) if positive and symmetric else np.full(1, -np.inf)
+    if not (values[..., 0] >= -ROUNDING * values[..., -1]).all():
+        raise InvalidSnapshot(f"snapshot.{name}", f"covariances up to {LARGEST_VARIANCE:g}", "another matrix")
+
+
+def _rotation(model: np.ndarray, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    rotation = like(model, arrays, "rotation")
+    if not (np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)) < ROUNDING).all():
+        raise InvalidSnapshot("snapshot.rotation", "a rotation per vertex", "other matrices")
+    return rotation
 
 
 def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
     covariance = like(model.covariance, arrays, "drift_covariance")
-    if not (covariance.diagonal() > 0).all():
-        raise InvalidSnapshot("snapshot.drift_covariance", "positive variances", "others")
+    _require_covariances("drift_covariance", covariance)
     speed2, stored2, hem2, *later = (float(value) for value in values)
     (unseen_turn,) = later or [0.0]  # not in earlier snapshots
-    if not (min(speed2, stored2, hem2, unseen_turn) >= 0 and max(speed2, stored2, hem2, unseen_turn) < math.inf):
-        raise InvalidSnapshot("snapshot.drift", "finite numbers of 0 or more", repr(values))
+    if not all(0.0 <= value <= LARGEST_NUMBER for value in (speed2, stored2, hem2, unseen_turn)):
+        raise InvalidSnapshot("snapshot.drift", f"numbers from 0 to {LARGEST_NUMBER:g}", repr(values))
     missed = like(model.missed, arrays, "drift_missed") if "drift_missed" in arrays else model.missed  # not in earlier snapshots
     return Drift(covariance, speed2, stored2, hem2, unseen_turn, missed)
 
@@ -278,10 +304,10 @@ def _palette(tracker, arrays: dict[str, np.ndarray]) -> Palette:
     found = Palette(*(arrays[f"palette_{name}"] for name in Palette._fields))
     for name, shape in zip(Palette._fields, ((2, *CELLS), of_vertices, of_vertices), strict=True):
         array = getattr(found, name)
-        if array.shape != shape or array.dtype != np.float32 or not (np.isfinite(array) & (array >= 0.0)).all():
+        if array.shape != shape or array.dtype != np.float32 or not (np.isfinite(array) & (array >= -ROUNDING)).all():
             what = f"float32 of shape {shape}, finite and 0 or more"
             raise InvalidSnapshot(f"snapshot.palette_{name}", what, f"{array.dtype} {array.shape}")
-    return found
+    return Palette(*(np.maximum(array, np.float32(0.0)) for array in found))  # earlier versions wrote -1e-16 for 0
 
 
 def _anchor(tracker, arrays: dict[str, np.ndarray]) -> BodyAnchor:
@@ -298,8 +324,8 @@ def _anchor(tracker, arrays: dict[str, np.ndarray]) -> BodyAnchor:
 
 
 def _strain2(variance) -> float:
-    if isinstance(variance, bool) or not isinstance(variance, int | float) or not 0 <= variance < math.inf:
-        raise InvalidSnapshot("snapshot.elasticity", "a finite square", repr(variance))
+    if isinstance(variance, bool) or not isinstance(variance, int | float) or not 0 <= variance <= LARGEST_NUMBER:
+        raise InvalidSnapshot("snapshot.elasticity", f"a square up to {LARGEST_NUMBER:g}", repr(variance))
     return float(variance)
 
 
@@ -316,15 +342,18 @@ def _size(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
 def _health(values: dict) -> Health:
     health = Health(**values)
     pairs = zip(health[1:], Health()[1:], strict=True)
-    if health.state not in get_args(TrackerState) or not all(_like_number(*pair) for pair in pairs) or health.physics_lambda < 1:
-        raise InvalidSnapshot("snapshot.health", "a state, and numbers that are finite and not negative", str(values))
+    numbers = all(_like_number(*pair) for pair in pairs)
+    if health.state not in get_args(TrackerState) or not numbers or health.physics_lambda < 1:
+        raise InvalidSnapshot("snapshot.health", "a state, and numbers that are not negative", str(values))
+    if max(health.reliability, health.unexplained, health.least_unexplained) > 1:
+        raise InvalidSnapshot("snapshot.health", "a reliability and shares up to 1", str(values))
     return health
 
 
 def _like_number(value, model: bool | int | float) -> bool:
-    """Whether a value is a flag, a count or a finite number that is not negative, as ``model`` is."""
-    kinds = int | float if isinstance(model, float) else int
-    return isinstance(value, bool) == isinstance(model, bool) and isinstance(value, kinds) and 0 <= value < math.inf
+    """Whether a value is a flag, a count or a number that is not negative, as ``model`` is."""
+    kinds, most = (int | float, MAX_TIME) if isinstance(model, float) else (int, MOST)
+    return isinstance(value, bool) == isinstance(model, bool) and isinstance(value, kinds) and 0 <= value <= most
 
 
 def _view(values: dict) -> View:
@@ -336,20 +365,22 @@ def _view(values: dict) -> View:
     return view
 
 
-def _sensors(arrays: dict[str, np.ndarray], values: list | None) -> Sensors | None:
+def _sensors(arrays: dict[str, np.ndarray], values: list | None, last: float | None) -> Sensors | None:
     if values is None:
         return None
-    time, wait = values
+    time, wait = _time(values[0]), values[1]
+    if time is not None and (last is None or time > last):
+        raise InvalidSnapshot("snapshot.sensors", "a time that is not after the last frame's", repr(time))
     count = len(arrays["sensors_origin"])
     if not 1 <= count <= MAX_SENSORS or not _like_number(wait, 0):
         raise InvalidSnapshot("snapshot.sensors", f"1 to {MAX_SENSORS} sensors, and a count", f"{count} sensors, {wait!r}")
     fresh = sensor_poses.unknown(np.zeros((count, 3)))
-    found = {name: like(getattr(fresh, name), arrays, f"sensors_{name}") for name in FOUND}
+    found = {name: like(getattr(fresh, name), arrays, f"sensors_{name}", MOST_INFORMATION) for name in FOUND}
     if np.linalg.norm(found["shift"], axis=1).max() > 1.001 * sensor_poses.FARTHEST:
         raise InvalidSnapshot("snapshot.sensors_shift", f"at most {sensor_poses.FARTHEST:g} m", "more")
     if np.linalg.eigvalsh(found["information"])[0] < -1e-6 * np.abs(found["information"]).max():
         raise InvalidSnapshot("snapshot.sensors_information", "a matrix with no negative eigenvalue", "another one")
-    return Sensors(**found, time=_time(time), wait=wait)
+    return Sensors(**found, time=time, wait=wait)
 
 
 def _signs(values: dict) -> dict[str, int]:
@@ -369,8 +400,9 @@ def _costs(values: list | None) -> Costs | None:
 
 
 def _time(value) -> float | None:
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value)):
-        raise InvalidSnapshot("snapshot.time", "seconds or null", repr(value))
+    number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_TIME
+    if value is not None and not number:
+        raise InvalidSnapshot("snapshot.time", f"seconds within {MAX_TIME:g}, or null", repr(value))
     return value
 
 
@@ -461,7 +493,10 @@ def _array(data: bytes) -> np.ndarray:
     stream = io.BytesIO(data)
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError("an array of another version than 1.0")
-    shape, column_major, dtype = np.lib.format.read_array_header_1_0(stream)
+    try:
+        shape, column_major, dtype = np.lib.format.read_array_header_1_0(stream)
+    except Exception as error:  # it evaluates a literal of Python, which fails in many ways
+        raise ValueError(f"an array without a header ({error})") from error
     held = len(data) - stream.tell()
     if dtype.hasobject or math.prod(shape) * dtype.itemsize != held or min(shape, default=0) < 0:
         raise ValueError(f"an array of {dtype} and shape {shape} in {held} bytes")

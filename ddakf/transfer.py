@@ -123,8 +123,8 @@ def _resting(shape: Resting | None, source: Discretised, target: Discretised, ke
 def _palette(palette: Palette | None, source: Discretised, target: Discretised) -> Palette | None:
     if palette is None:
         return None
-    resampled = (_resampled(counts, source, target).astype(np.float32) for counts in (palette.alike, palette.seen))
-    return Palette(palette.counts, *resampled)
+    alike, seen = (_resampled(counts, source, target) for counts in (palette.alike, palette.seen))  # -1e-16 for some of 0
+    return Palette(palette.counts, *(np.maximum(counts, 0.0).astype(np.float32) for counts in (alike, seen)))
 
 
 def _appearance(appearance: Appearance | None, source: Discretised, target: Discretised) -> Appearance | None:

@@ -319,6 +319,17 @@ def health(name, value):
     return lambda numbers, arrays: numbers["health"].__setitem__(name, value)
 
 
+def one_of(name, value):
+    """One entry of an array is another number."""
+    return lambda numbers, arrays: arrays[name].reshape(-1).__setitem__(arrays[name].size // 2, value)
+
+
+def sensors_of_tomorrow(numbers, arrays):
+    numbers["sensors"] = [numbers["time"] + 1e4, 0]
+    arrays |= {"sensors_origin": np.ones((2, 3)), "sensors_shift": np.zeros((2, 3))}
+    arrays |= {"sensors_information": np.eye(6), "sensors_vector": np.zeros(6)}
+
+
 def a_million_sensors(numbers, arrays):
     numbers["sensors"] = [1.0, 0]
     arrays |= {f"sensors_{name}": np.zeros((10**6, 3)) for name in ("origin", "shift")}
@@ -332,6 +343,10 @@ FOREIGN = {
     "no covariance": drop("state_P_pp"),
     "faces out of range": put("garment_F", np.full((3, 3), 10**6)),
     "a garment that is not finite": put("garment_V", np.full((4, 3), np.nan)),
+    "no signs": number("signs", None),
+    "no rates": number("costs", []),
+    "a body that turned without end": put("contact_turn", np.array(np.inf)),
+    "a drift beyond all floats": number("drift", [10**400, 0.0, 0.0, 0.0]),
 }
 UNCHECKED = {
     "a state of another garment": put("state_position", np.zeros((5, 3))),
@@ -357,6 +372,18 @@ UNCHECKED = {
     "a strain that is no square": number("elasticity", -1.0),
     "a place on another body": put("worn_pose", np.zeros((5, 3))),
     "a garment of another size on the body": put("worn_position", np.zeros((5, 3))),
+    "a state beyond all bounds": put("state_position", np.full(GARMENT.vertices.shape, 1e12)),
+    "a covariance beyond all bounds": put("state_P_uu", np.tile(1e12 * np.eye(3), (GARMENT.n_vertices, 1, 1))),
+    "position and velocity that are more than wholly correlated": one_of("state_P_pu", 1e3),
+    "a drift that is no covariance": lambda numbers, arrays: arrays["drift_covariance"].__setitem__((0, 1), 1e6),
+    "a drift of errors beyond all bounds": number("drift", [0.0, 0.0, 0.0, 1e308]),
+    "rings that are not turned but shrunk": put("rotation", np.zeros((GARMENT.n_vertices, 3, 3))),
+    "a strain beyond all bounds": number("elasticity", 1e308),
+    "more than the whole cloud unexplained": health("unexplained", 1.5),
+    "a factor beyond all floats": health("physics_lambda", 10**400),
+    "a time at which no frame can be": number("time", 1e15),
+    "sensors that were seen after the last frame": sensors_of_tomorrow,
+    "a count of turns that no integer holds": put("contact_turn", np.array(2.0**70)),
     "squared deviations below zero": lambda numbers, arrays: arrays["worn_squares"].fill(-1.0),
 }
 
@@ -371,6 +398,15 @@ def test_content_that_is_no_tracker_is_refused(what):
 def test_content_of_another_shape_is_refused(what):
     with pytest.raises(InvalidSnapshot):
         Tracker.restore(rewritten(UNCHECKED[what]))
+
+
+@pytest.mark.parametrize("header", [b"(", b"[", b'"""', b"  1\n 2\n", b"-" * 9000 + b"1"])
+def test_an_array_with_another_header_is_refused(header):
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("garment_V.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    with pytest.raises(InvalidSnapshot, match="header"):
+        Tracker.restore(snapshot.sealed(zlib.compress(stream.getvalue())))
 
 
 def test_repacking_is_the_identity():

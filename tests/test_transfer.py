@@ -151,3 +151,17 @@ def test_a_lighter_configuration_keeps_what_was_chosen():
     assert light.preprocess == Config.fast().preprocess
     assert light.lighter() == light
     assert Config.paper().lighter() == Config.paper()
+
+
+@pytest.mark.parametrize("body", [False, True])
+def test_colours_of_other_things_are_carried_over_as_counts(body):
+    """The shares of a place on another mesh may be -1e-17."""
+    tracker, rng = started(body), np.random.default_rng(2)
+    for k in range(FIRST + 1, FIRST + 6):
+        cloth, skin = SAMPLE.garment_vertices[k], SAMPLE.body_vertices[k][::3]
+        colors = np.repeat([[200, 30, 30], [220, 180, 150]], [len(cloth), len(skin)], axis=0) + rng.integers(-8, 8, (1, 3))
+        more = {"body_vertices": SAMPLE.body_vertices[k]} if body else {}
+        tracker.step(np.concatenate([cloth, skin]), timestamp=SAMPLE.timestamp(k), colors=colors.astype(np.uint8), **more)
+    for other in (tracker.configured(COARSE), tracker.configured(COARSE).configured(Config())):
+        assert min(other._track.palette.seen.min(), other._track.palette.alike.min()) >= 0
+        assert Tracker.restore(other.snapshot()).timestamp == tracker.timestamp

@@ -16,7 +16,7 @@ from ddakf.types import Estimate, Problem, Track
 
 
 def search(clock: Clock, problem: Problem) -> Problem:
-    """The problem, a search allowed or not. One that does not fit is allowed all the same once in a hundred frames.
+    """The problem, a search allowed or not. One that does not fit is allowed all the same in one of a hundred frames.
 
     A prediction that misses the cloud is registered where a search would fit, though that takes less: registered in every
     frame of a crowded worker, it would cost more frames than it saves.
@@ -85,7 +85,7 @@ def learned(clock: Clock, track: Track, problem: Problem, estimate: Estimate) ->
     overruns, searched = costs.overruns + OVERRUN_SHARE, clock.spent("predict")[0]
     if problem.effort.due and searched > SAME_KIND * costs.search.mean:
         measured["search"] = searched
-        overruns -= searched > clock.budget
+        overruns -= clock.left() < 0.0
     new = learning.learned(costs, measured, problem.model)
     return track._replace(costs=new._replace(overruns=max(0.0, min(overruns, OVERRUNS))))
 

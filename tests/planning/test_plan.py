@@ -8,6 +8,7 @@ from ddakf.errors import InvalidArgument
 from ddakf.planning import costs, plan
 from ddakf.planning.work import Effort
 from ddakf.search import relocalize
+from tests.planning import simulated_processor
 from tests.planning.simulated_processor import SEARCH, SimulatedProcessor
 from tests.stages.scenes import FPS, scan, tube
 from tests.tracker_runs import EYE, SAMPLE, SHIRT, assert_same
@@ -138,6 +139,17 @@ def test_a_search_that_does_not_fit_is_made_now_and_then(processor):
     assert tracker._track.health.state in ("recovering", "lost")
 
 
+def test_a_search_that_fits_alone_overruns_no_more_often(processor, monkeypatch):
+    """It takes less than the budget, and with the rest of its frame a third more."""
+    monkeypatch.setattr(simulated_processor, "END", 0.02)
+    tracker, budget, over = Tracker(GARMENT), 0.072, []
+    for k in range(240):
+        cloud = shaken(k, 800) + k * np.float32([0.0, 0.0, 0.8])
+        result = tracker.step(cloud, timestamp=k / FPS, sensor_origin=EYE, budget=budget)
+        over.append(result.usage.seconds > 1.2 * budget)
+    assert sum(over) <= costs.OVERRUNS + 240 * costs.OVERRUN_SHARE + 1, "the first search is known too late"
+
+
 def test_a_search_is_postponed_not_forgotten(processor):
     tracker = Tracker(GARMENT)
     tracker.step(shaken(0), timestamp=0.0, sensor_origin=EYE, budget=0.006)
@@ -176,6 +188,6 @@ def test_a_prediction_is_registered_where_a_search_would_fit(processor, monkeypa
 def test_a_budget_is_a_positive_number(budget):
     tracker = Tracker(GARMENT)
     before = tracker.snapshot()
-    with pytest.raises(InvalidArgument, match="budget: expected processor seconds above 0"):
+    with pytest.raises(InvalidArgument, match="budget: expected finite processor seconds above 0"):
         tracker.step(shaken(0), timestamp=0.0, budget=budget)
     assert tracker.snapshot() == before
