@@ -47,9 +47,9 @@ class Mesh:
     def cleaned(cls, vertices, faces, *, alike: float = ALIKE) -> tuple[Mesh, np.ndarray]:
         """Repairs what exported garments often have, and says which vertices remain.
 
-        Joins triangles that share no vertices, and open edges at the place of another. Removes degenerate and duplicate faces,
-        at every edge with more than two faces the smallest surplus ones, and then the vertices that no face uses. Winds all
-        faces of a piece as most of them.
+        Joins triangles that share no vertices, both sides of a sheet, and open edges at the place of another. Removes
+        degenerate and duplicate faces, at every edge with more than two faces the smallest surplus ones, and then the vertices
+        that no face uses. Winds all faces of a piece as most of them.
 
         Args:
             vertices: (V, 3) metres.
@@ -64,7 +64,10 @@ class Mesh:
         """
         vertices, faces = _checked_arrays(vertices, faces)
         first = _first_alike(vertices)
-        faces = first[faces] if _apart(first) else _seamless(faces, _first_beside(vertices, faces, alike))
+        if _apart(first):
+            faces = first[faces]
+        else:
+            faces = _seamless(_one_sided(faces, first), _first_beside(vertices, faces, alike))
         faces = faces[~_degenerate(vertices, faces)]
         faces = faces[~_repeated(faces, len(vertices))]
         faces = _without_surplus_faces(vertices, faces)
@@ -231,6 +234,14 @@ def _seamless(faces: np.ndarray, first: np.ndarray) -> np.ndarray:
     edges, seam = _seams(faces, first)
     joined, ends = np.arange(len(first)), edges[seam]
     joined[ends] = first[ends]
+    return joined[faces]
+
+
+def _one_sided(faces: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """The faces with the corners of those joined that lie in the place of another one: of both sides of a sheet."""
+    _, place, sharing = np.unique(np.sort(first[faces], axis=1), axis=0, return_inverse=True, return_counts=True)
+    joined, both = np.arange(len(first)), faces[sharing[place.ravel()] > 1]
+    joined[both] = first[both]
     return joined[faces]
 
 

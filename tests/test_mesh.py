@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ddakf import Mesh
+from ddakf import Mesh, Tracker
 from ddakf.errors import InvalidMesh
 from ddakf.mesh import vertex_normals
 from tests.physics.shapes import ball, rotation, sheet
@@ -91,6 +91,18 @@ def test_cleaning_takes_no_more_than_the_defect(defect):
     np.testing.assert_allclose(np.unique(mesh.vertices, axis=0), np.unique(V, axis=0))
     np.testing.assert_allclose(mesh.vertices[mesh.faces], V[F])  # in the same order and from the same corners
     assert len(kept) == mesh.n_vertices
+
+
+def test_both_sides_of_a_sheet_are_one_beside_other_parts():
+    """As many exports have it: every triangle twice, of vertices of their own, and buttons once."""
+    sheet, n = tube(), tube().n_vertices
+    buttons = np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]]) + np.arange(3)[:, None, None] * [0.0, 0.1, 0.0] + [1.0, 0.0, 0.0]
+    vertices = np.concatenate([sheet.vertices, sheet.vertices, buttons.reshape(-1, 3)])
+    faces = np.concatenate([sheet.faces, sheet.faces[:, ::-1] + n, 2 * n + np.arange(9).reshape(3, 3)])
+    mesh, kept = Mesh.cleaned(vertices, faces)
+    assert (mesh.n_vertices, mesh.n_faces) == (n + 9, sheet.n_faces + 3)
+    np.testing.assert_array_equal(kept, np.append(np.arange(n), 2 * n + np.arange(9)))
+    assert Tracker(mesh).working_vertices <= n
 
 
 def test_all_defects_at_once_are_counted_apart_and_repaired_together():

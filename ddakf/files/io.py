@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from ddakf.errors import InvalidFile
 from ddakf.files.ply import read_ply, write_ply
+from ddakf.files.polygons import triangles
 from ddakf.files.sequence import Sequence, load_sequence
 from ddakf.files.text import quoted, text_of
 
@@ -123,7 +125,7 @@ def read_mesh(path) -> tuple[np.ndarray, np.ndarray]:
     suffix = path.suffix.lower()
     if suffix in (".ply", ".obj"):
         vertices, polygons = read_ply(path)[:2] if suffix == ".ply" else _read_obj(path)
-        faces = _fans(polygons)
+        faces = triangles(vertices, polygons)
     elif suffix in POINT_SUFFIXES:
         raise InvalidFile(str(path), f"a mesh format such as {', '.join(MESH_SUFFIXES[:2])}", suffix)
     else:
@@ -187,17 +189,11 @@ def _finite(path: Path, points: np.ndarray) -> np.ndarray:
     return points
 
 
-def _fans(polygons: list[np.ndarray]) -> np.ndarray:
-    """(F, 3) triangles of groups of polygons (polygons, corners), each fanned from its first corner."""
-    fans = [group[:, [0, k, k + 1]] for group in polygons for k in range(1, group.shape[1] - 1)]
-    return np.concatenate(fans).astype(np.int64) if fans else np.zeros((0, 3), np.int64)
-
-
 def _read_obj(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
     """Vertices and polygons of a Wavefront file: `v`, and `f` with slashes and negative (relative) indices."""
     vertices, polygons = [], {}
-    for number, line in enumerate(text_of(path.read_bytes()).replace("\\\n", " ").split("\n"), start=1):
-        key, *words = line.split("#", 1)[0].split() or [""]
+    for number, line in _statements(text_of(path.read_bytes())):
+        key, *words = line.split() or [""]
         try:
             if key == "v":
                 x, y, z = map(float, words[:3])
@@ -210,6 +206,23 @@ def _read_obj(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
             raise InvalidFile(f"{path.name}: line {number}", expected, quoted(line)) from None
     groups = [np.array(group, np.int64) for corners, group in sorted(polygons.items()) if corners >= 3]
     return np.array(vertices, np.float64).reshape(-1, 3), groups
+
+
+def _statements(text: str) -> Iterator[tuple[int, str]]:
+    """The statements of a Wavefront file without comments, and the number of the line that each begins in.
+
+    A backslash continues a vertex or a face in the next line; elsewhere it may be the end of a path.
+    """
+    begun, before = 0, ""
+    for number, line in enumerate(text.split("\n"), start=1):
+        begun, joined = begun or number, before + line.split("#", 1)[0]
+        if line.endswith("\\") and joined.endswith("\\") and joined.split()[0] in ("v", "f"):
+            before = joined[:-1] + " "
+            continue
+        yield begun, joined
+        begun, before = 0, ""
+    if before:
+        yield begun, before
 
 
 def _obj_index(word: str, vertices_so_far: int) -> int:

@@ -10,6 +10,7 @@ from ddakf.errors import InvalidFile, MissingDependency
 
 HEADER_BYTES = 4096  # of a .pcd, at most
 MOST_POINTS_PER_BYTE = 30  # of a compressed .pcd: its LZF makes 264 bytes of 3 at best
+MESHES = (".stl", ".off", ".gltf", ".glb")  # formats
 SYSTEM_LIBRARIES = "libegl1 libgl1 libx11-6 libusb-1.0-0 libgomp1"
 
 
@@ -71,5 +72,8 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         mesh = o3d.io.read_triangle_mesh(str(path))
     faces = np.asarray(mesh.triangles, np.int64).reshape(-1, 3)
     if len(faces) == 0:
+        known = ", ".join(MESHES)
+        if path.suffix.lower() not in MESHES:
+            raise InvalidFile(str(path), f"a mesh in one of the formats .ply, .obj, {known}", f"{path.suffix}, or no faces in it")
         raise InvalidFile(str(path), "a triangle mesh that Open3D reads", "no faces")
     return np.asarray(mesh.vertices, np.float64).reshape(-1, 3), faces

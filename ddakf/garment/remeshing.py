@@ -6,6 +6,7 @@ is the mesh (Valette and Chassery 2004, "Approximated centroidal Voronoi diagram
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -24,8 +25,10 @@ LOOP_EDGES = 12  # round an opening, at least; a narrower one is surrounded by s
 GRADING = 0.3  # growth of the edges with the distance from a narrow opening
 TRIES = 8  # with ever shorter edges, until pieces, openings and handles of the mesh are kept
 SHORTER = 0.75  # edges of the next try where the surface was torn, or everywhere if it was nowhere and yet has changed
+MOST_LOST = 20  # torn places with which an even mesh is still better than one of uneven triangles
 MOST_TORN = 50  # places; a whole body with fingers has ten, and each try takes a second
 SHORTEST_OF_ALL = 0.5  # longest edge of a try over the wanted one, at least
+PINHOLE = 1e-3  # of the surface: a round opening of less area is closed, if it is no larger than a triangle either
 SHORTEST = 1.0 / 3.0  # edges round a buttonhole, over the wanted ones
 
 
@@ -46,18 +49,23 @@ class OnFaces(NamedTuple):
 
 
 def remesh(mesh: Mesh, edge: float) -> Remeshed | None:
-    """A mesh of about this edge length; None where the surface cannot be kept: pieces, openings and handles.
+    """A mesh of about this edge length, or None where the surface cannot be kept.
 
+    It has the pieces, openings and handles of the other mesh. Where no length of its edges keeps them all, as of belt loops, it
+    has the pieces and is not torn in more than ``MOST_LOST`` places. A pinhole is no opening, and a vertex that sheets of the
+    surface share is one of each.
     Edges are shorter where the surface is thinner than they are long, such as at fingers.
 
     Args:
         mesh: of V vertices.
         edge: metres.
     """
-    wanted = np.full(mesh.n_vertices, edge)
+    template, (mesh, original) = mesh, _without_pinholes(*_without_pinches(mesh), edge)
+    wanted, kept = np.full(mesh.n_vertices, edge), _topology(mesh)
+    nearest = None
     for _ in range(TRIES):
         if (found := subdivided(mesh, wanted / FINER)) is None:
-            return None
+            return nearest
         fine, place = found
         loops = boundary_loops(fine)
         spacing = np.minimum(_spacing(fine, loops, edge), (place.share * wanted[place.corner]).sum(axis=1))
@@ -65,16 +73,63 @@ def remesh(mesh: Mesh, edge: float) -> Remeshed | None:
         fixed = _on_loops(fine, loops, graph)
         seeds = _relaxed(fine, graph, _spread(fine, graph, fixed), fixed)
         even, owner, seeds = _dual(fine, graph, seeds)
-        if even is not None and _topology(even) == _topology(mesh):
-            return Remeshed(even, place.corner[seeds], place.share[seeds], owner[: mesh.n_vertices])
         torn = [] if even is None else _torn(fine, even, seeds)
-        if len(torn) > MOST_TORN:
-            return None
+        has = None if even is None else _topology(even)
+        if has is not None and (has == kept or (nearest is None and has[0] == kept[0] and len(torn) <= MOST_LOST)):
+            corner, own = original[place.corner[seeds]].astype(np.int32), owner[: template.n_vertices]
+            nearest = Remeshed(even, corner, place.share[seeds], own)
+        if has == kept or len(torn) > MOST_TORN:
+            return nearest
         rim = np.concatenate(torn) if torn else np.arange(fine.n_vertices)
         wanted = np.minimum(wanted, _graded(fine, rim, SHORTER * spacing[rim])[: mesh.n_vertices])
         if wanted.max() < SHORTEST_OF_ALL * edge:
-            return None
-    return None
+            break
+    return nearest
+
+
+def _without_pinches(mesh: Mesh) -> tuple[Mesh, np.ndarray]:
+    """The mesh of V vertices in which every sheet of faces around a vertex has its own, and the vertex of each (V',).
+
+    The first V vertices are those of the mesh. Sheets that share a vertex and no edge are a pinch.
+    """
+    n, every = mesh.n_vertices, np.arange(mesh.n_vertices)
+    after = np.roll(mesh.faces, -1, axis=1)
+    if np.bincount(_open_sides(mesh)[:, 0], minlength=n).max(initial=0) < 2:
+        return mesh, every
+    corner = np.arange(3 * mesh.n_faces).reshape(-1, 3)
+    low = np.where(mesh.faces < after, corner, np.roll(corner, -1, axis=1)).ravel()
+    high = np.where(mesh.faces < after, np.roll(corner, -1, axis=1), corner).ravel()
+    key = (np.minimum(mesh.faces, after) * n + np.maximum(mesh.faces, after)).ravel()
+    order = np.argsort(key, kind="stable")
+    shared = np.flatnonzero(key[order[1:]] == key[order[:-1]])
+    one, other = order[shared], order[shared + 1]
+    joined = np.concatenate([np.stack([ends[one], ends[other]], axis=1) for ends in (low, high)])
+    sheet = geodesic.pieces(joined, 3 * mesh.n_faces)
+    first = np.full(n, -1)
+    first[mesh.faces.ravel()[::-1]] = sheet[::-1]
+    more = np.unique(sheet[sheet != first[mesh.faces.ravel()]])
+    number = np.full(sheet.max() + 1, -1)
+    number[more] = n + np.arange(len(more))
+    of_corner = number[sheet].reshape(-1, 3)
+    original = np.concatenate([every, np.empty(len(more), np.int64)])
+    original[of_corner[of_corner >= 0]] = mesh.faces[of_corner >= 0]
+    return Mesh(mesh.vertices[original], np.where(of_corner >= 0, of_corner, mesh.faces)), original
+
+
+def _without_pinholes(mesh: Mesh, original: np.ndarray, edge: float) -> tuple[Mesh, np.ndarray]:
+    """The mesh with faces over openings that are no larger than a triangle of the wanted one; ``original`` stays as it is."""
+    largest = min(3.0 * edge, _around_a_pinhole(mesh))
+    taken, fans = set(map(tuple, mesh.edges.tolist())), []
+    for loop in boundary_loops(mesh):
+        fan = np.stack([np.full(len(loop) - 2, loop[0]), loop[2:], loop[1:-1]], axis=1)
+        across = set(map(tuple, np.sort(fan[1:, [0, 2]], axis=1).tolist()))  # its inner edges
+        if _arc(mesh, loop)[-1] < largest and not across & taken:
+            taken |= across
+            fans.append(fan)
+    try:
+        return Mesh(mesh.vertices, np.concatenate([mesh.faces, *fans])), original
+    except InvalidMesh:  # no area, or the only face once more
+        return mesh, original
 
 
 def _torn(mesh: Mesh, even: Mesh, seeds: np.ndarray) -> list[np.ndarray]:
@@ -160,12 +215,17 @@ def _split(faces: np.ndarray, middle: np.ndarray) -> np.ndarray:
     return np.concatenate(parts)
 
 
+def _open_sides(mesh: Mesh) -> np.ndarray:
+    """(B, 2) the sides of faces that no other face has, in the direction of the face."""
+    sides = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    forward, backward = sides @ [mesh.n_vertices, 1], sides @ [1, mesh.n_vertices]
+    return sides[~np.isin(forward, backward, kind="sort")]
+
+
 def boundary_loops(mesh: Mesh) -> list[np.ndarray]:
     """Openings of a mesh: the vertices of each in the direction of its faces, the one farthest from the mesh's middle first."""
     away = np.square(mesh.vertices - mesh.vertices.mean(axis=0)).sum(axis=1)
-    sides = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
-    forward, backward = sides @ [mesh.n_vertices, 1], sides @ [1, mesh.n_vertices]
-    after = dict(sides[~np.isin(forward, backward)].tolist())
+    after = dict(_open_sides(mesh).tolist())
     loops = []
     while after:
         vertex, following = after.popitem()
@@ -175,6 +235,17 @@ def boundary_loops(mesh: Mesh) -> list[np.ndarray]:
             following = after.pop(following)
         loops.append(np.roll(loop, -int(np.argmax(away[loop]))))
     return loops
+
+
+def openings(mesh: Mesh) -> list[np.ndarray]:
+    """The :func:`boundary_loops` but for pinholes."""
+    largest = _around_a_pinhole(mesh) if mesh.boundary_vertices.any() else 0.0
+    return [loop for loop in boundary_loops(mesh) if _arc(mesh, loop)[-1] >= largest]
+
+
+def _around_a_pinhole(mesh: Mesh) -> float:
+    """Metres around the largest one."""
+    return math.sqrt(4.0 * math.pi * PINHOLE * areas(mesh).sum())
 
 
 def _arc(mesh: Mesh, loop: np.ndarray) -> np.ndarray:

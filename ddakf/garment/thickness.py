@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ddakf.body import proximity
-from ddakf.garment import geodesic
+from ddakf.garment import geodesic, remeshing
 from ddakf.mesh import Mesh
 
 THICKEST = 0.01  # m between the layers
@@ -21,12 +21,13 @@ FLAT = 0.5  # |mean normal| from which on a piece goes around nothing: of two fl
 def inner_layer(mesh: Mesh) -> np.ndarray:
     """(V,) bool, of the vertices of the inner layer of a garment with a thickness; none where there is one layer.
 
-    It lies behind another one, with opposite normals, and has less area. Two layers are a thickness where the mesh is closed, or
-    where they are two pieces that go around something: front and back of a shirt that lies flat are open at its hems, or flat.
+    It lies behind another one, with opposite normals, and has less area. Two layers are a thickness where the mesh is closed but
+    for pinholes, or where they are two pieces that go around something: front and back of a shirt that lies flat are open at its
+    hems, or flat.
     """
     none = np.zeros(mesh.n_vertices, bool)
     piece = geodesic.pieces(mesh.edges, mesh.n_vertices)
-    closed = not mesh.boundary_vertices.any()
+    closed = not remeshing.openings(mesh)
     if not closed and piece.max() == 0:
         return none
     normal, area = _normals_and_areas(mesh)

@@ -20,6 +20,7 @@ NEAR = 0.01  # share of the points about the garment with which a large cloud is
 LONG_STEP, SHORT_STEP = 5.0, 2e-4  # s: no sensor is slower, or faster
 LONG_GAP = 86_400.0  # s: no recording pauses longer, so that a clock was set or another one read
 LARGEST, LEAST = 10.0, 0.15  # m: no garment is larger, hardly one smaller
+AT_BOUND = 1e-6  # of the logarithm of a size, below its bound
 OTHER_SIZE = 0.05  # growth along an axis of the template, from which on it is of another size
 LIKE = 3.0  # ratio of two time steps that are alike
 POSE = 1.6  # a pose, or a view, changes a size by less
@@ -97,6 +98,10 @@ def garment_size(problem: Problem, estimate: Estimate) -> Sign | None:
     growth = np.expm1(np.diag(problem.last.size))
     if np.abs(growth).max() < OTHER_SIZE:
         return None
+    most = problem.config.physics.size_most
+    if np.abs(np.linalg.eigvalsh(problem.last.size)).max() > np.log1p(most) - AT_BOUND:
+        beyond = f"the garment is {100.0 * most:.0f} % larger or smaller than its template, or more than that"
+        return Sign("garment", f"{beyond}, which is not followed: is the template in another unit?")
     along = ", ".join(f"{100.0 * share:+.0f} % along {axis}" for share, axis in zip(growth, "xyz", strict=True))
     return Sign("garment", f"the garment is larger or smaller than its template, by {along}, and is tracked in that size")
 

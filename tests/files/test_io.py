@@ -89,6 +89,39 @@ def test_obj_with_slashes_negative_indices_and_polygons(tmp_path):
     assert np.array_equal(faces, FACES)
 
 
+def test_a_backslash_continues_no_comment_and_no_path(tmp_path):
+    """Line numbers stay those of the file."""
+    (tmp_path / "mesh.obj").write_text(
+        "# made in C:\\garments\\\nv 0 0 0 1 0 0\nv 1 0 \\\n 0\nv 1 1 0\nv 0 1 .5\n"
+        "mtllib C:\\x\\\nf 1 2 3 4\nusemtl \\\nf 1 2 x\n"
+    )
+    with pytest.raises(InvalidFile, match="line 10"):
+        io.read_mesh(tmp_path / "mesh.obj")
+    (tmp_path / "mesh.obj").write_text((tmp_path / "mesh.obj").read_text().replace("f 1 2 x\n", ""))
+    vertices, faces = io.read_mesh(tmp_path / "mesh.obj")
+    assert np.array_equal(vertices, VERTICES)
+    assert np.array_equal(faces, FACES)
+
+
+def test_a_concave_polygon_is_cut_into_triangles_that_look_its_way(tmp_path):
+    """A dart, a quadrangle whose first diagonal lies outside, and a star, each tilted: triangles of one side, and their area."""
+    angle = 2 * np.pi * np.arange(20) / 20
+    star = np.where(np.arange(20) % 2, 0.3, 1.0)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    dart = np.array([[0, 0], [2, 0], [2, 2], [1, 0.2], [0, 2]])
+    for flat in (dart, np.array([[1, 0.3], [2, 0], [1, 2], [0, 0]]), star, star[::-1]):
+        x, y = flat.T
+        area = 0.5 * (x * np.roll(y, -1) - np.roll(x, -1) * y).sum()
+        place = np.stack([x, y, 0.5 * x + 0.1 * y], axis=1)
+        lines = [f"v {a} {b} {c}" for a, b, c in place] + ["f " + " ".join(str(k + 1) for k in range(len(flat)))]
+        (tmp_path / "mesh.obj").write_text("\n".join(lines))
+        vertices, faces = io.read_mesh(tmp_path / "mesh.obj")
+        a, b, c = vertices[faces][:, :, :2].transpose(1, 0, 2)
+        doubled = np.cross(np.c_[b - a, np.zeros(len(a))], np.c_[c - a, np.zeros(len(a))])[:, 2]
+        assert (np.sign(doubled) == np.sign(area)).all()
+        assert 0.5 * doubled.sum() == pytest.approx(area)
+        assert len(faces) == len(flat) - 2
+
+
 def test_text_points_with_commas_counts_colours_and_comments(tmp_path):
     (tmp_path / "cloud.txt").write_text("2\n# x y z r g b\n1, 2, 3, 255\n\n4;5;6;0  # end\n")
     assert np.array_equal(io.read_points(tmp_path / "cloud.txt"), [[1, 2, 3], [4, 5, 6]])

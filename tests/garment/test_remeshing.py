@@ -124,6 +124,71 @@ def test_a_sieve_is_tried_once(monkeypatch):
     assert len(tries) == 1
 
 
+def missing(mesh, places, pinched=False):
+    """The mesh without a triangle in so many places, or without two that share a corner alone."""
+    rim, gone, used = mesh.boundary_vertices, [], set()
+    for face in np.random.default_rng(0).permutation(mesh.n_faces):
+        around = np.flatnonzero((mesh.faces == mesh.faces[face, 0]).any(axis=1))
+        near = set(mesh.faces[around].ravel().tolist())
+        across = [f for f in around if len(set(mesh.faces[face]) & set(mesh.faces[f])) == 1]
+        if not rim[list(near)].any() and not near & used and across:
+            gone += [face, across[0]] if pinched else [face]
+            used |= near
+        if len(gone) >= places:
+            break
+    return Mesh(mesh.vertices, np.delete(mesh.faces, gone, axis=0))
+
+
+def with_belt_loops(mesh, count):
+    """The mesh with thin tubes between faces 5 cm apart: handles that no even mesh of long edges has."""
+    centre, rim, faces, gone, used = mesh.vertices[mesh.faces].mean(axis=1), mesh.boundary_vertices, [], [], set()
+    for one in np.random.default_rng(0).permutation(mesh.n_faces):
+        other = np.abs(np.linalg.norm(centre - centre[one], axis=1) - 0.05).argmin()
+        corners = {*mesh.faces[one].tolist(), *mesh.faces[other].tolist()}
+        if rim[list(corners)].any() or corners & used:
+            continue
+        a, back = mesh.faces[one], mesh.faces[other][::-1]
+        b = min((np.roll(back, k) for k in range(3)), key=lambda b: np.linalg.norm(mesh.vertices[a] - mesh.vertices[b]))
+        faces += [(a[k], a[(k + 1) % 3], b[(k + 1) % 3]) for k in range(3)] + [(a[k], b[(k + 1) % 3], b[k]) for k in range(3)]
+        gone, used = [*gone, one, other], used | corners
+        if len(gone) == 2 * count:
+            break
+    return Mesh(mesh.vertices, np.concatenate([np.delete(mesh.faces, gone, axis=0), faces]))
+
+
+FINE = subdivided(SHIRT, 0.012)[0]
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [missing(FINE, 2, pinched=True), missing(FINE, 100), with_belt_loops(FINE, 6)],
+    ids=["pinched", "100 missing triangles", "belt loops"],
+)
+def test_defects_of_a_fine_template_cost_it_no_even_mesh(mesh):
+    even, whole = remesh(mesh, EDGE), remesh(FINE, EDGE).mesh
+    assert even.mesh.n_vertices == pytest.approx(whole.n_vertices, rel=0.05)
+    assert np.abs(np.log(np.median(lengths(even.mesh)) / EDGE)) < 0.15
+    assert areas(even.mesh).sum() == pytest.approx(areas(whole).sum(), rel=0.01)
+    assert even.owner.shape == (mesh.n_vertices,)
+    assert even.corner.max() < mesh.n_vertices
+    on_surface = np.einsum("wk,wka->wa", even.share, mesh.vertices[even.corner])
+    np.testing.assert_allclose(even.mesh.vertices, on_surface, atol=1e-12)
+    working = working_mesh.build(mesh, Config().discretisation)
+    assert working.mesh.n_vertices < 0.6 * mesh.n_vertices
+    assert np.linalg.norm(working.spread(working.sampled(mesh.vertices)) - mesh.vertices, axis=1).max() < 0.02
+
+
+def test_a_pinched_vertex_is_one_of_each_sheet():
+    """Two triangles that share a corner, and no other."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [-1, 0, 0], [-1, -1, 0.0]])
+    apart, original = remeshing._without_pinches(Mesh(vertices, np.array([[0, 1, 2], [0, 3, 4]])))
+    assert (apart.n_vertices, original.tolist()) == (6, [0, 1, 2, 3, 4, 0])
+    assert len(boundary_loops(apart)) == 2
+    same, original = remeshing._without_pinches(SHIRT)
+    assert same is SHIRT
+    assert (original == np.arange(SHIRT.n_vertices)).all()
+
+
 @pytest.mark.parametrize("fold", ["point", "line"])
 def test_a_folded_mesh_of_many_pieces_is_survived(fold):
     """Faces just above the least area, most of them apart from each other."""

@@ -82,6 +82,13 @@ def test_one_layer_has_no_inner_one(mesh):
     assert not thickness.inner_layer(mesh).any()
 
 
+def test_a_missing_triangle_is_no_opening():
+    mesh = thick(SHIRT)
+    for face in (100, SHIRT.n_faces + 100):
+        holed = Mesh(mesh.vertices, np.delete(mesh.faces, face, axis=0))
+        np.testing.assert_array_equal(thickness.inner_layer(holed), thickness.inner_layer(mesh))
+
+
 def test_a_thick_garment_is_tracked_as_its_outer_layer():
     garment = thick(SHIRT)
     working = working_mesh.build(garment, Config().discretisation)

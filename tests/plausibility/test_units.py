@@ -144,3 +144,13 @@ def test_a_clock_that_hardly_advances_is_told():
     found = [tracker.step(cloud(0), timestamp=1e-5 * k) for k in range(6)]
     assert codes(found[-1]) == {"stale_clock"}
     assert "10 us" in found[-1].warnings[0].message
+
+
+@pytest.mark.parametrize(("scale", "says"), [(0.92, "tracked in that size"), (0.6, "in another unit")])
+def test_a_size_at_its_bound_is_not_said_to_be_followed(scale, says):
+    tracker, said = Tracker(Mesh(scale * TUBE.vertices, TUBE.faces)), []
+    tracker.reset(TUBE.vertices)
+    for k in range(40):
+        result = tracker.step(cloud(k), timestamp=k / FPS)
+        said += [warning.message for warning in result.warnings if warning.code == "garment_size"]
+    assert says in said[-1]
