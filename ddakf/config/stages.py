@@ -241,6 +241,7 @@ class Uncertainty(Checked):
     turn_rate: float = bounded(30.0, 0, 1e4)  # degrees/s by which a wearer may turn in a garment that does not show it
     turn_share: float = bounded(0.08, 1e-6, 1)  # of the turn's motion that is along the normals, from which on the cloud shows it
     smooth_folds: float = bounded(0.001, 1e-6, 1)  # m, height of folds from which on they show it
+    missed_turn: float = bounded(0.1, 0, 1)  # share of the turn of a skirt or cape that its folds do not show
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2
     ceiling_speed_sd: float = bounded(10.0, 1e-3, 1e4)  # m/s: trace(P_uu) is at most 3 ceiling_speed_sd^2

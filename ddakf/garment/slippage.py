@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.kernels import slippage as kernels
+from ddakf.mesh import Mesh
 
 FACES = 1000  # of a garment, at most, whose slippage is looked at
 FOLD_WIDTH = 0.06  # m, along the surface: folds that are wider a mesh can follow without sliding
@@ -29,6 +30,11 @@ def least_normal_share(vertices: np.ndarray, faces: np.ndarray) -> float:
     if kernels.rigid_motions(vertices, np.ascontiguousarray(faces), along, moved) == 0.0:
         return 0.0
     return min(max(kernels.smallest_share(along, moved, TINY), 0.0), 1.0)
+
+
+def has_limbs(mesh: Mesh) -> bool:
+    """Whether a garment has legs or sleeves, which show its turns: more openings than a tube, by Euler's number."""
+    return mesh.n_vertices - len(mesh.edges) + mesh.n_faces < 0
 
 
 def some_faces(faces: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ import numpy as np
 from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
 from ddakf.config.stages import USUAL_RATE
-from ddakf.garment.slippage import fold_height, least_seen_turn, some_faces
+from ddakf.garment.slippage import fold_height, has_limbs, least_seen_turn, some_faces
 from ddakf.kernels import follow
 from ddakf.kernels import surface_points as point_kernels
 from ddakf.kernels import uncertainty as kernels
@@ -32,6 +32,8 @@ from ddakf.stages.fuse import condition, inverse_blocks, invert
 from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
 
 LEAST_TURNED = 16  # seen vertices that show a rigid motion
+TINY = 1e-12  # m^2/rad^2, of a point, which no turn moves
+STEADY = np.radians(5.0)  # rad/s: noise turns the estimate of a garment that stands still by less
 MOST_TURNED = 2.0  # rad: beyond, the other side would be as likely
 SHORTEST = 1.0 / 120.0  # s: what is missed between frames that are closer is noise rather than motion
 
@@ -114,7 +116,8 @@ def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: f
     """Radians by which the garment may be turned, unnoticed: since a start to which several headings were alike, or later.
 
     A smooth surface of revolution, such as a plain skirt, may turn with its wearer, and noise may turn the estimate: the cloud is
-    the same. Folds show a turn, and so do colours, and a body, on which the waistband stays.
+    the same. Folds show that it turns, but not how far: they may stay where they are while cloth passes through them, so that a
+    share of every turn is missed. Legs and sleeves show a turn, and so do colours, and a body, on which the waistband stays.
 
     Args:
         problem: the frame.
@@ -123,15 +126,23 @@ def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: f
         slip: of the evidence.
     """
     model, limits, angle = problem.model, problem.config.uncertainty, problem.last.drift.unseen_turn
-    if estimate.clearance is not None or problem.coloured or slip + error_size.BALL < 1.0 / limits.turn_share:
+    if estimate.clearance is not None or problem.coloured or has_limbs(model.mesh):
         return angle
-    folds = fold_height(*surface, (model.start, model.neighbour), model.edge_length)
-    if folds >= limits.smooth_folds:
-        return angle
-    share = least_seen_turn(*surface, some_faces(model.faces), model.boundary).share
-    unseen = (1.0 - folds / limits.smooth_folds) * max(0.0, 1.0 - share / limits.turn_share)
-    dt = min(problem.dt, problem.config.predict.longest_step)
-    return float(min(angle + np.radians(limits.turn_rate) * unseen * dt, MOST_TURNED))
+    turn = least_seen_turn(*surface, some_faces(model.faces), model.boundary)
+    if estimate.observed.any():
+        turned = _turned_by(turn.moved, surface.position - problem.motion_start)
+        angle += limits.missed_turn * (1.0 - turn.share) * max(0.0, abs(turned) - STEADY * problem.dt)
+    if slip + error_size.BALL > 1.0 / limits.turn_share:
+        folds = fold_height(*surface, (model.start, model.neighbour), model.edge_length)
+        unseen = max(0.0, 1.0 - folds / limits.smooth_folds) * max(0.0, 1.0 - turn.share / limits.turn_share)
+        angle += np.radians(limits.turn_rate) * unseen * min(problem.dt, problem.config.predict.longest_step)
+    return float(min(angle, MOST_TURNED))
+
+
+def _turned_by(moved: np.ndarray, displacement: np.ndarray) -> float:
+    """Radians of the turn that moves vertices by (V, 3) ``moved`` per radian, in their (V, 3) displacements, shifts aside."""
+    about = moved - moved.mean(axis=0)
+    return float((about * displacement).sum() / max(np.square(about).sum(), TINY))
 
 
 def _add_turn(problem: Problem, position: np.ndarray, angle: float, covariance: np.ndarray) -> float:
