@@ -518,11 +518,15 @@ class Rival(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What is constant within a frame: stages B to G read it."""
+    """A frame with its prediction: stage A makes it, stages B to G read it and change nothing in it.
+
+    Before stage B the search, preprocessing, the colours and the body anchor replace parts of it. The plan of a budget replaces
+    ``effort`` before each stage.
+    """
 
     model: Model
-    config: Config  # as stiff as the garment has proved to be
-    last: Track  # after the last frame; where a search found the garment, with the drift of a start
+    config: Config  # its stiffness is that to which the garment's strain has adapted it
+    last: Track  # after the last frame, but with the view and the sensors of this one; drift of a start where a search found it
     frame: FrameInput
     dt: float  # s since the last frame
     state: State  # posterior of the last frame; with a body its velocities are relative to it
