@@ -207,7 +207,7 @@ def readme_table(report: dict) -> str:
         place += f" (other work ran beside it: load average {machine['load_average']})"
     source = (
         f"The first five rows are of the untouched studies ([results](docs/results.md)), the rest by `make bench` on {place}; "
-        "`benchmarks/results/bench.json` has more."
+        "`benchmarks/results/bench.json` has more. The [glossary](docs/notation.md#glossary) explains the words."
     )
     return "\n".join([*lines, "", textwrap.fill(source, 100, break_long_words=False, break_on_hyphens=False)])
 
@@ -230,7 +230,8 @@ def _fresh_row(result: result_files.Result) -> tuple[str, str]:
     best = [headline.best_baseline(result, view, "rmse_mm")[0] for view in CONDITIONS]
     theirs = [headline.geometric_mean(result, name, view, "rmse_mm") for name, view in zip(best, CONDITIONS, strict=True)]
     mine, others = (", ".join(f"{value:.1f}" for value in values) for values in (ours, theirs))
-    name = f"{len(result.sequences)} recordings simulated when all was fixed, in these conditions"
+    again = "[scored again after later changes](docs/evaluation.md#what-the-held-out-recordings-decided)"
+    name = f"{len(result.sequences)} fresh recordings, simulated after the constants were fixed and {again}, in these conditions"
     return name, f"{mine} mm; the best baselines {others} mm"
 
 

@@ -50,11 +50,11 @@ class Tracker:
     Args:
         garment: its vertices are the rest shape, and where tracking starts unless :meth:`reset` says otherwise.
         body: the body underneath in the pose of the start, or None; only with it may frames carry ``body_vertices``.
-        config: ``Config()`` or ``Config.paper()``, or a variation of them.
+        config: ``Config()`` (if None), ``Config.fast()`` or ``Config.paper()``, or a variation of them.
 
     Raises:
         InvalidMesh: not meshes, metres beyond 10 km, a garment or body beyond 10 m, or a garment ten times as large as its body.
-        InvalidConfig: no configuration.
+        InvalidConfig: ``config`` is not a ``ddakf.Config``.
     """
 
     def __init__(self, garment: Mesh, *, body: Mesh | None = None, config: Config | None = None):
@@ -210,7 +210,7 @@ class Tracker:
         """A tracker that goes on from here with another configuration; this one stays as it is, see :meth:`continue_from`.
 
         Raises:
-            InvalidConfig: no configuration.
+            InvalidConfig: ``config`` is not a ``ddakf.Config``.
         """
         other = self.another(config)
         other.continue_from(self)
@@ -220,7 +220,7 @@ class Tracker:
         """A tracker of the same garment and body at the start, which shares all that is constant with this one.
 
         Raises:
-            InvalidConfig: no configuration.
+            InvalidConfig: ``config`` is not a ``ddakf.Config``.
         """
         if not isinstance(config, Config):
             raise InvalidConfig("config", "a ddakf.Config", type(config).__name__)

@@ -31,7 +31,7 @@ from ddakf.results import TrackerState
 class Sign(NamedTuple):
     """A sign of wrong input in one frame; one that lasts is a warning."""
 
-    field: str  # that is probably wrong
+    field: str  # name of the input that is probably wrong
     message: str  # one sentence, with the numbers that gave it away
 
 
@@ -68,14 +68,14 @@ def variances(covariance: np.ndarray) -> np.ndarray:
 class Clusters(NamedTuple):
     """K clusters of a garment's V vertices."""
 
-    nearest: np.ndarray  # (V, N) int32 clusters whose motion a vertex blends
+    nearest: np.ndarray  # (V, N) int32, nearest clusters: a vertex moves by the blend of their motions
     share: np.ndarray  # (V, N) weights of the blend, rows sum to one
     seam: np.ndarray  # (C, 3) int32 edges between two clusters: vertices i and j, and the entry i to j of the one-rings
     ends: np.ndarray  # (G, 2) int32 neighbouring clusters, both ways
-    elimination: Elimination  # in which their equations are solved
+    elimination: Elimination  # order of the clusters in which their equations are solved
     weakening: float  # factor on the seams' stiffness: true over overstated energy of a uniform strain
     sample: np.ndarray  # (S,) int32 vertices that cluster alignment measures
-    probe: np.ndarray  # (S / probe_stride,) int32 of these, measured first: they decide whether clusters are aligned
+    probe: np.ndarray  # (S / probe_stride,) int32, vertices of the sample that are measured first: they decide on alignment
 
 
 class Model(NamedTuple):
@@ -83,10 +83,10 @@ class Model(NamedTuple):
 
     mesh: Mesh
     faces: np.ndarray  # (F, 3) int32
-    rings: FaceRings  # the same with their edges, and the faces around each vertex
+    rings: FaceRings  # faces with their edges, and the faces around each vertex
     start: np.ndarray  # (V + 1,) uint32: row i of the one-rings is [start[i], start[i + 1])
     neighbour: np.ndarray  # (2E,) uint32, ascending in each row
-    edge: np.ndarray  # (2E,) uint32 in [0, E): the mesh's edge of each entry
+    edge: np.ndarray  # (2E,) uint32 in [0, E): number of the mesh's edge of each entry of the one-rings
     cluster: np.ndarray  # (V,) int32 in [0, K): cluster of each vertex, a piece that moves rigidly in cluster alignment
     n_clusters: int
     aggregate: np.ndarray  # (V,) int32 in [0, A): aggregate of each vertex, a group of the solver's preconditioner
@@ -94,19 +94,19 @@ class Model(NamedTuple):
     patch: np.ndarray  # (V,) int32 in [0, L): patch of each vertex, a region whose error covariance frames carry on
     likeness: np.ndarray  # (L, L) float32 correlation of the patches' motion: exp(-1/2 (distance at rest / correlation_length)^2)
     clusters: Clusters  # blending weights, seams and samples of cluster alignment
-    rest_edge: np.ndarray  # (2E, 3) float32 m, x_j - x_i at rest
-    rest_length: np.ndarray  # (2E,) float32 m, its length
-    crossing: np.ndarray  # (C, 3) int32: entries of the one-rings from patch to patch, and the two patches
+    rest_edge: np.ndarray  # (2E, 3) float32 m, edges x_j - x_i of the one-rings at rest
+    rest_length: np.ndarray  # (2E,) float32 m, lengths of these edges
+    crossing: np.ndarray  # (C, 3) int32: entry of the one-rings whose edge joins two patches, and the two patches
     boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
-    inside: np.ndarray  # (V,) int32: nearest vertex away from all boundaries, where a cloud's points are cloth
-    hanging: np.ndarray  # (V,) float32 m of cloth between a vertex and the garment's top, at rest
-    curve: np.ndarray  # (V,) int32: the vertices along a curve that fills space, every so-many-th of which are spread evenly
-    area: float  # m^2
-    vertex_share: np.ndarray  # (V,) float32 area of each vertex over the mean
-    edge_length: float  # m, mean
+    inside: np.ndarray  # (V,) int32, nearest vertex away from all boundaries: points on that one are cloth, not skin
+    hanging: np.ndarray  # (V,) float32 m, length of cloth between a vertex and the garment's top, at rest
+    curve: np.ndarray  # (V,) int32, vertices in the order of a space-filling curve: every n-th of them is an even sample
+    area: float  # m^2, of the surface
+    vertex_share: np.ndarray  # (V,) float32, area of each vertex over the mean area
+    edge_length: float  # m, mean length of the edges
     stretch: StretchConstants
     shear: ShearConstants
-    strain: StrainConstants  # stretch and shear at once
+    strain: StrainConstants  # of stretch and shear, which one kernel adds
     bend: BendConstants
     collision: CollisionConstants
     layers: LayerConstants
@@ -144,16 +144,16 @@ class Cloud(NamedTuple):
     """A preprocessed cloud of M points, sorted by grid cell."""
 
     points: np.ndarray  # (3, M) float32, relative to origin, m
-    index: np.ndarray  # (M,) int32, of each in the input
-    start: np.ndarray  # (cells + 2,) int32, of the points of each cell
+    index: np.ndarray  # (M,) int32, row of each point in the frame
+    start: np.ndarray  # (cells + 2,) int32, first point of each cell
     surfels: np.ndarray  # (6, S) float32: point on its local plane, relative to origin, m; unit normal, 0 where no plane
-    surfel_grid: Grid  # of the surfels; its cells are larger where these are fewer than the points
-    origin: np.ndarray  # (3,) m
-    cell: float  # m
-    dims: np.ndarray  # (3,) int64
-    sensor: np.ndarray | None  # (S, 3) m, distinct sensors; None where unknown
-    sparse: Surfels | None  # a sample in larger cells, for vertices far from all surfels; None where the cells are as large
-    sample: Sample | None = None  # points that measure the faces beneath them, spread over all; None without planes
+    surfel_grid: Grid  # grid of the surfels; its cells are larger if there are fewer surfels than points
+    origin: np.ndarray  # (3,) m, lower corner of the grid
+    cell: float  # m, edge of a cell
+    dims: np.ndarray  # (3,) int64, cells along each axis
+    sensor: np.ndarray | None  # (S, 3) m, places of the distinct sensors; None: not known
+    sparse: Surfels | None  # sample of the surfels in larger cells, for vertices far from all; None: the cells are large enough
+    sample: Sample | None = None  # even sample of the points, which measure the faces beneath them; None without planes
     channels: np.ndarray | None = None  # (2, M) float32, log chromaticities of the points; None: their colours are not known
 
     @property
@@ -179,7 +179,7 @@ class BodyModel(NamedTuple):
 
     mesh: Mesh  # in the pose of the start
     tree: proximity.Body
-    reach: float  # m, of the closest-point search
+    reach: float  # m, longest distance of a closest point that is searched
     carries: bool  # the garment's prediction follows the body
 
 
@@ -197,8 +197,8 @@ class BodyPose(NamedTuple):
     surface: proximity.BodySurface
     gap: np.ndarray | None  # (V,) m, signed distance that each vertex keeps at least; None: the thickness
     hint: np.ndarray | None  # (V,) int32, faces that were closest in the last frame
-    turn: int  # of the search in the whole body, see Physics.faces_followed
-    intruded: tuple[float, float]  # as in BodyTrack
+    turn: int  # number of the frame that chooses which vertices are searched in the whole body, see Physics.faces_followed
+    intruded: tuple[float, float]  # see BodyTrack
 
     @property
     def vertices(self) -> np.ndarray:
@@ -209,15 +209,16 @@ class BodyTrack(NamedTuple):
     """The body after a frame."""
 
     vertices: np.ndarray  # (B, 3) m, in the last known pose
-    present: bool  # that pose is the last frame's
+    present: bool  # whether that pose is of the last frame
     velocity: np.ndarray | None  # (V, 3) m/s with which the body carried each vertex; None where it did not
     contacts: Contacts | None  # of the last frame; None: not searched
     gap: np.ndarray | None  # (V,) m, as in BodyPose
-    turn: int = 0  # frames
-    motion: np.ndarray | None = None  # (B, 3) float32 m/s, from its last pose but one to the last
-    unposed: float = 0.0  # s since that pose, for which it has been moved on
-    span: float = 0.0  # s of which the velocities are a mean: frames may be very close
-    intruded: tuple[float, float] = (0.0, 0.0)  # m^2, 1: squared depth of seen vertices inside the gap, and how many, over V
+    turn: int = 0  # number of the frame, see BodyPose
+    motion: np.ndarray | None = None  # (B, 3) float32 m/s, velocity of the body between its last two poses
+    unposed: float = 0.0  # s since the last pose: for so long the body has been moved on without one
+    span: float = 0.0  # s over which the velocities are averaged, as two frames may be very close
+    # running means over the vertices: m^2, squared depth of those seen inside the gap (0 for others); 1, share of these
+    intruded: tuple[float, float] = (0.0, 0.0)
 
 
 class Bound(NamedTuple):
@@ -232,13 +233,13 @@ class BodyAnchor(NamedTuple):
     """The place of the garment on the body, and how far the garment deviates from it. V vertices, L patches."""
 
     bound: Bound  # at the start, or where relocalization found the garment
-    seen: np.ndarray  # (L,) share of a patch's vertices that was measured lately
-    squares: np.ndarray  # (L,) m^2, squared deviation of these along the normal, times that share
-    measured: np.ndarray  # (V,) bool, in the last frame
-    guess: np.ndarray  # (L,) m^2, the same of a patch of which all is measured, as guessed before anything is
-    slip: np.ndarray  # (L,) m^2, squared deviation along either tangent, as guessed before anything is measured
-    held: np.ndarray  # (V,) m^2, the same of a waistband's vertex, which is held where it is seen too; 0: of another vertex
-    across: np.ndarray | None  # (L,) m^2, as squares, along either tangent; None: of a garment whose slip is not learned
+    seen: np.ndarray  # (L,) running mean of the share of a patch's vertices that is measured
+    squares: np.ndarray  # (L,) m^2, running mean of that share times their squared deviation along the normal
+    measured: np.ndarray  # (V,) bool, vertices that were measured in the last frame
+    guess: np.ndarray  # (L,) m^2, first guess of the squared deviation along the normal
+    slip: np.ndarray  # (L,) m^2, first guess of the squared deviation along either tangent
+    held: np.ndarray  # (V,) m^2, the same at a vertex of a waistband, which is held also where it is seen; 0 at other vertices
+    across: np.ndarray | None  # (L,) m^2, like squares, along either tangent; None: the slip of this garment is not learned
 
 
 # What changes from frame to frame -----------------------------------------------------------------------------------
@@ -249,10 +250,10 @@ class Drift(NamedTuple):
 
     covariance: np.ndarray  # (3L, 3L) float32 m^2
     speed2: float  # m^2/s^2, running mean of the squared innovation per second
-    stored2: float  # m^2, mean variance of the stored blocks: its growth is how fast an unseen garment is lost
+    stored2: float  # m^2, mean variance of the stored blocks; without a body the error of an unseen garment grows as it does
     hem2: float = 0.0  # m^2, mean squared distance of hems from where the cloud ends, when hems were last seen
-    unseen_turn: float = 0.0  # rad by which the garment may be turned about its axis, as nothing shows that
-    missed: np.ndarray = np.zeros((3, 3))  # m^2/s^2, running mean of d d' of what predictions miss per second, and their body
+    unseen_turn: float = 0.0  # rad by which the garment may have turned about its axis without being seen to
+    missed: np.ndarray = np.zeros((3, 3))  # m^2/s^2, running mean of d d' / dt^2, d the prediction's error with the body's part
 
     @classmethod
     def at(cls, model: Model, sd: float) -> Drift:
@@ -265,19 +266,19 @@ class Health(NamedTuple):
 
     state: TrackerState = "initializing"
     physics_lambda: float = 1.0
-    poor_for: float = 0.0  # s of sensor time with points, but without a fit
-    empty_for: float = 0.0  # s of empty clouds
+    poor_for: float = 0.0  # s of sensor time, frames with points but without a fit
+    empty_for: float = 0.0  # s of sensor time, empty clouds
     doubtful: bool = False  # measured, but the score is below doubt_below
     frames_unplaced: int = 0  # frames with points since there was a fit
     settling: int = 0  # frames in which a relocalized garment is registered further
     spacing: float = 0.0  # s between the last two frames; before there were two 0, or first_step after a start with velocities
-    reliability: float = 0.0  # of the last frame, but for turns that nothing shows
-    # evidence of the predicted error
-    offset: float = 0.0  # m^2
-    unexplained: float = 0.0  # share of the points
-    least_unexplained: float = 1.0  # so far
+    reliability: float = 0.0  # score of the last frame, without the turns that nothing shows
+    # evidence about the error, running means
+    offset: float = 0.0  # m^2, squared distance of the cloud from the surface, without sensor noise
+    unexplained: float = 0.0  # share of the points that lie in clumps near no vertex
+    least_unexplained: float = 1.0  # least such share of a frame so far
     postponed: bool = False  # a search is due for which the last frame's budget did not suffice
-    rim_gap: float = 0.0  # between rim and cloud, over that of the other seen vertices, running mean
+    rim_gap: float = 0.0  # gap between rim and cloud over that of the other seen vertices, running mean
 
     def relocalized(self) -> Health:
         """The health where a search found the garment: the memory of the old track says nothing about the new one."""
@@ -292,10 +293,10 @@ class Health(NamedTuple):
 class View(NamedTuple):
     """The side that clouds without a sensor origin show."""
 
-    looked: bool = False  # at a cloud
-    hidden_share: float = 0.0  # of its points, in a second layer, along the direction where these are fewest; running mean
+    looked: bool = False  # whether a cloud has been looked at
+    hidden_share: float = 0.0  # least share of the points in a second layer along a direction, running mean
     side: tuple[float, float, float] = (0.0, 0.0, 0.0)  # unit vector toward the sensor; 0: all sides, or not known
-    bulge: float = 0.0  # of the cloud toward that side, in cells; running mean
+    bulge: float = 0.0  # height, in cells, by which the cloud bulges toward that side, running mean
     wait: int = 0  # frames until the next look
 
     @property
@@ -306,16 +307,16 @@ class View(NamedTuple):
 class Sensors(NamedTuple):
     """C sensors of one stream, and how far each is misplaced."""
 
-    origin: np.ndarray  # (C, 3) m, as last given
-    shift: np.ndarray  # (C, 3) m, from where they are
-    information: np.ndarray  # (3C, 3C) 1/m^2, of the shifts, from the places where two see the same surface
-    vector: np.ndarray  # (3C,) 1/m, that times the shifts
-    time: float | None = None  # s, of the last look; None before the first
-    wait: int = 0  # frames until the next
+    origin: np.ndarray  # (C, 3) m, places as the caller gave them last
+    shift: np.ndarray  # (C, 3) m, from the true places to those
+    information: np.ndarray  # (3C, 3C) 1/m^2, of the shifts, from places where two sensors see the same surface
+    vector: np.ndarray  # (3C,) 1/m, information times shifts: right side of their normal equations
+    time: float | None = None  # s, time of the last look; None before the first
+    wait: int = 0  # frames until the next look
 
     @property
     def common2(self) -> float:
-        """m^2, variance in each direction of what all are misplaced by alike: of the mean of as many as scatter so."""
+        """m^2, variance in each direction of the shift that all sensors have in common, from how their shifts scatter."""
         n = len(self.shift)
         if n < 2:
             return 0.0
@@ -328,8 +329,8 @@ class Resting(NamedTuple):
     position: np.ndarray  # (V, 3) m
     edge: np.ndarray  # (2E, 3) float32 m, of the one-rings
     rotation: np.ndarray  # (V, 3, 3) of the one-rings against the template
-    strain: StrainConstants  # of the faces, a share of whose strain there is at rest
-    upward: np.ndarray  # (V,) 1/m, forces against what the rest of that strain draws
+    strain: StrainConstants  # of the faces: a share of their strain in that shape is at rest
+    upward: np.ndarray  # (V,) 1/m, upward forces against the rest of that strain
     size: np.ndarray  # (3, 3) logarithm of the stretch of the template
     length: np.ndarray  # (2E,) float32 m, of the one-rings' edges in the template so stretched
     given: bool  # the caller gave that shape; if not, it is the template so stretched
@@ -339,19 +340,19 @@ class Resting(NamedTuple):
 class Appearance(NamedTuple):
     """Colours of the garment around each vertex: patches of texels in its tangent plane."""
 
-    axis: np.ndarray  # (V, 3) of the patches' first axes, unit, at rest
+    axis: np.ndarray  # (V, 3) unit, first axis of each patch, at rest
     mean: np.ndarray  # (V, SIDE, SIDE, 2) float32, log chromaticities of the texels
-    weight: np.ndarray  # (V, SIDE, SIDE) float32 1/m^2, sum of the inverse variances of the places that they were learned at
+    weight: np.ndarray  # (V, SIDE, SIDE) float32 1/m^2, sum of the inverse variances of the places where they were learned
     registered2: np.ndarray  # (V,) m^2, least variance of a vertex in its plane while its patch was learned
-    noise2: np.ndarray  # (2,) variance of these in a cloud
+    noise2: np.ndarray  # (2,) variance of the chromaticities in a cloud
 
 
 class Palette(NamedTuple):
     """Colours of the garment and of other things, in points that were seen lately."""
 
-    counts: np.ndarray  # (2, *CELLS) float32, by colour, of the garment and of other things
-    alike: np.ndarray  # (V,) float32, on each vertex away from boundaries, in the colours of other things
-    seen: np.ndarray  # (V,) float32, on each of these vertices in all colours
+    counts: np.ndarray  # (2, *CELLS) float32, histograms of the points' colours: of the garment, of other things
+    alike: np.ndarray  # (V,) float32, points on each vertex away from boundaries that have the colours of other things
+    seen: np.ndarray  # (V,) float32, points on each of these vertices in any colour
 
 
 class Track(NamedTuple):
@@ -386,20 +387,20 @@ class Track(NamedTuple):
 class Sides(NamedTuple):
     """Sides of a garment: its layers along the directions that a sensor may look."""
 
-    hidden_share: float  # of its surface, in a second layer, along the judged direction where that is least
-    level: bool = False  # level directions alone are judged
-    sheet: bool = False  # one side, as of a template of one depth frame: there is no other that a sensor could miss
+    hidden_share: float  # least share of its surface in a second layer along a judged direction
+    level: bool = False  # whether level directions alone are judged
+    sheet: bool = False  # whether it has one side alone, as a template of one depth frame
 
 
 class InputReference(NamedTuple):
     """What the frames of a garment are held against."""
 
     sides: Sides
-    outward: float  # mean cosine of its normals to the outside
-    body_outward: float  # of the body's; 1 without a body
-    split_edges: int = 0  # open edges of the garment at the place of another
+    outward: float  # mean cosine between the garment's normals and the directions outward
+    body_outward: float  # the same of the body's normals; 1 without a body
+    split_edges: int = 0  # open edges of the garment that lie at the place of another open edge
     seam_gap: float = 0.0  # m between a part and another one whose opening runs beside it; 0 where none does
-    fallen_body: str = ""  # what of the body at the start does not stand along the vertical of the configuration
+    fallen_body: str = ""  # sentence about a body that does not stand upright at the start; empty: it does
 
 
 class Setup(NamedTuple):
@@ -420,15 +421,15 @@ class Hem(NamedTuple):
     direction: np.ndarray  # (H, 3) unit, in the surface, across the boundary and outward
     offset: np.ndarray  # (H,) m, from the vertex along it to the end of the cloud
     weight: np.ndarray  # (H,) bisquare of the offset times the belief, 0 where the cloud does not end
-    belief: float = 1.0  # that the cloud ends where the cloth does, less where a mask is too narrow
-    rim_gap: float = 0.0  # between rim and cloud, over that of the other seen vertices, running mean; 0 where it is not asked
+    belief: float = 1.0  # factor on the weights in [0, 1]: less where a mask is too narrow
+    rim_gap: float = 0.0  # see Health; 0 where it is not computed
 
 
 class Slide(NamedTuple):
     """Where the colours of each vertex are, along two directions of its tangent plane."""
 
     registered: Slides
-    information: np.ndarray  # (2, V) 1/m^2 with which they enter the update, 0 where colours say nothing
+    information: np.ndarray  # (2, V) 1/m^2, weights of the slides in the update; 0 where colours say nothing
 
 
 class Planes(NamedTuple):
@@ -440,10 +441,10 @@ class Planes(NamedTuple):
     variance: np.ndarray  # (V,) m^2 along the normal
     tangential: np.ndarray  # (V,) m^2 in the plane
     hem: Hem | None = None  # ends of the cloud beside open boundaries
-    hem_variance: float = 1.0  # m^2, of each
-    slide: Slide | None = None  # along the surface, by its colours
-    points: FoundFaces | None = None  # beneath points of the cloud
-    information: np.ndarray | None = None  # (P,) 1/m^2 along the faces' normals, of those points
+    hem_variance: float = 1.0  # m^2, variance of each end
+    slide: Slide | None = None  # places along the surface, by colours
+    points: FoundFaces | None = None  # faces beneath points of the cloud
+    information: np.ndarray | None = None  # (P,) 1/m^2 of those points along the faces' normals
 
 
 class Measurement(NamedTuple):
@@ -496,7 +497,7 @@ class Energies(NamedTuple):
     stiffness: tuple[float, float, float, float]  # of stretch, shear, bend and collision
     strain_scale: float  # of stretch, see :func:`ddakf.physics.energies.softened`
     layers: Layers | None = None
-    self_collision: Linearization | None = None  # as stiff as self_stiffness
+    self_collision: Linearization | None = None  # its stiffness is self_stiffness
     self_stiffness: float = 0.0
     contacts: Contacts | None = None  # on the body, at this position
 
@@ -513,16 +514,20 @@ class Evidence(NamedTuple):
 class Rival(NamedTuple):
     """Another heading that suits a garment, which was found at one that suits it best."""
 
-    degrees: float  # from the one that was found
+    degrees: float  # turn from the heading that was found
     expected: float  # rad: the chord of that turn times the probability that it is the right one
 
 
 class Problem(NamedTuple):
-    """What is constant within a frame: stages B to G read it."""
+    """A frame with its prediction: stage A makes it, stages B to G read it and change nothing in it.
+
+    Before stage B the search, preprocessing, the colours and the body anchor replace parts of it. The plan of a budget replaces
+    ``effort`` before each stage.
+    """
 
     model: Model
-    config: Config  # as stiff as the garment has proved to be
-    last: Track  # after the last frame; where a search found the garment, with the drift of a start
+    config: Config  # its stiffness is that to which the garment's strain has adapted it
+    last: Track  # after the last frame, but with the view and the sensors of this one; drift of a start where a search found it
     frame: FrameInput
     dt: float  # s since the last frame
     state: State  # posterior of the last frame; with a body its velocities are relative to it
@@ -531,15 +536,15 @@ class Problem(NamedTuple):
     prior: State  # the prediction
     motion_start: np.ndarray  # (V, 3) m, position from which the motion is locally rigid
     rotation: np.ndarray  # (V, 3, 3) of the one-rings there against the rest shape
-    health: Health  # as the frame begins
+    health: Health  # at the beginning of the frame
     garment: FrameInput | None = None  # the frame without the body's skin
     cloud: Cloud | None = None
     anchored: Planes | None = None  # pseudo-measurements of unseen vertices and waistbands by the body anchor
     reference: InputReference | None = None
     overturned: tuple[float, float] | None = None  # m, costs of the garment upright and upside down, where a search prefers that
     rival: Rival | None = None  # another heading that suits a garment that was just found
-    effort: Effort = Effort()  # of the next stage
-    resting: Resting | None = None  # of the track
+    effort: Effort = Effort()  # work that the next stage may take
+    resting: Resting | None = None  # that of the last track
 
     @property
     def coloured(self) -> bool:
@@ -574,16 +579,16 @@ class Estimate(NamedTuple):
     evidence: Evidence  # of the last pass
     gravity: np.ndarray | None = None  # (V, 3) 1/m, force of the cloth's weight; None: nothing tells what carries it
     bulge: np.ndarray | None = None  # (V, 3) m by which vertices stand out of their planes' patches; None: not known
-    yielding: float = 1.0  # share of the rigidity between frames that seen vertices have
+    yielding: float = 1.0  # factor on the rigidity between frames at seen vertices, less where a garment slips along itself
     contacts: Contacts | None = None  # on the body; None: not searched
     planes: Planes | None = None
     system: System | None = None
     before: tuple[np.ndarray, np.ndarray] | None = None  # position and correction of the pass before, m
     coarse: np.ndarray | None = None  # (3A, 3A) float32 m^2, coarse level of the preconditioner
     state: State | None = None  # the posterior, where the update itself forms it
-    passes: int = 0  # of this frame, at full size
-    settled: bool = False
-    rejected: bool = False
+    passes: int = 0  # passes at full size in this frame
+    settled: bool = False  # whether the passes have ended
+    rejected: bool = False  # whether the fit is thrown away, and the prediction kept
     work: Work = Work()
 
     @property
@@ -614,4 +619,4 @@ class Posterior(NamedTuple):
     covariance: np.ndarray  # (V, 3, 3) m^2, calibrated
     drift: Drift
     tangential2: np.ndarray | None = None  # (V,) m^2, variance in the tangent plane without the colours; None: there are none
-    turned2: float = 0.0  # m^2, mean squared displacement by a turn that nothing shows, a part of the covariance
+    turned2: float = 0.0  # m^2, mean squared displacement by a turn that nothing shows; the covariance contains it

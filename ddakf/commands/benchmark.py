@@ -16,28 +16,40 @@ def register(commands: argparse._SubParsersAction) -> None:
     _add_make(parts)
     _add_run(parts)
     table = parts.add_parser("table", help="results in Markdown: systems by conditions, and the ratio to the best baseline")
-    table.add_argument("result", type=Path, metavar="RESULT.json", help="of ddakf benchmark run")
+    table.add_argument("result", type=Path, metavar="RESULT.json", help="result of ddakf benchmark run")
     table.set_defaults(run=_table)
 
 
 def _add_make(parts: argparse._SubParsersAction) -> None:
     make = parts.add_parser("make", help="copy or simulate the recordings, and compare them with their checksums")
-    make.add_argument("--folder", type=Path, required=True, metavar="DIR", help="for the recordings, 6 MB")
-    make.add_argument("--only", nargs="+", default=[], metavar="NAME", help="these recordings")
+    make.add_argument("--folder", type=Path, required=True, metavar="DIR", help="folder for the recordings, 6 MB")
+    make.add_argument("--only", nargs="+", default=[], metavar="NAME", help="make these recordings alone")
     make.add_argument("--anew", action="store_true", help="simulate also what this checkout has (a minute each)")
     make.set_defaults(run=_make)
 
 
 def _add_run(parts: argparse._SubParsersAction) -> None:
     run = parts.add_parser("run", help="track every recording in every condition; resumes where it was stopped")
-    run.add_argument("--submit", action="append", default=[], metavar="MODULE:CLASS", help="a class with start and step")
-    run.add_argument("--methods", default="ddakf", metavar="A,B", help="systems beside it (default ddakf)")
-    run.add_argument("--folder", type=Path, metavar="DIR", help="of the recordings (default: those of the checkout)")
-    run.add_argument("--only", nargs="+", default=[], metavar="NAME", help="these recordings: no result of the benchmark")
-    run.add_argument("--runs", type=int, metavar="N", help="seeds 1 to N (default 5): fewer are no result of the benchmark")
+    run.add_argument(
+        "--submit",
+        action="append",
+        default=[],
+        metavar="MODULE:CLASS",
+        help="a tracker of your own, by import: a class with start and step",
+    )
+    run.add_argument("--methods", default="ddakf", metavar="A,B", help="other systems to compare (default ddakf)")
+    run.add_argument("--folder", type=Path, metavar="DIR", help="folder of the recordings (default: those of the checkout)")
+    run.add_argument(
+        "--only", nargs="+", default=[], metavar="NAME", help="track these recordings alone: no result of the benchmark"
+    )
+    run.add_argument(
+        "--runs", type=int, metavar="N", help="runs, with seeds 1 to N (default 5): fewer are no result of the benchmark"
+    )
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
-    run.add_argument("--procs", type=int, default=cores, metavar="N", help=f"processes (default {cores}; 1 for exact times)")
-    run.add_argument("--json", type=Path, required=True, metavar="OUT.json", help="the result")
+    run.add_argument(
+        "--procs", type=int, default=cores, metavar="N", help=f"number of processes (default {cores}; 1 for exact times)"
+    )
+    run.add_argument("--json", type=Path, required=True, metavar="OUT.json", help="file for the result")
     run.add_argument("--again", default="", metavar="A,B", help="run these systems again where they ran with other code, or all")
     run.add_argument("--allow-dirty", action="store_true", help="write into results/ although the code has uncommitted changes")
     run.set_defaults(run=_run)

@@ -25,33 +25,39 @@ SHOWN = ("rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "penetration_mm", "
 def register(commands: argparse._SubParsersAction) -> None:
     """Adds the command to the parser."""
     parser = commands.add_parser("evaluate", help="compare the systems of the paper on sequences with truth", epilog=EPILOG)
-    what = "sample, a name under DDAKF_DATA, or a path: .npz, MPI-FAUST#s3_p7, a folder of frames, ... (docs/datasets.md)"
+    what = "sequence: sample, a name under DDAKF_DATA, or a path: .npz, MPI-FAUST#s3_p7, a folder, ... (docs/datasets.md)"
     parser.add_argument("sequences", nargs="*", metavar="SEQ", help=what)
     parser.add_argument(
-        "--paper", action="store_true", help="all studies of the paper's tables, into --results; SEQ: default all available"
+        "--paper", action="store_true", help="run all studies of the paper's tables, into --results; SEQ: default all available"
     )
-    parser.add_argument("--quick", action="store_true", help="of --paper: 2 sequences, 3 conditions, 2 seeds, 30 frames")
-    parser.add_argument("--only", default="", metavar="A,B", help="of --paper: these studies and figures, as main,figure-1")
-    what = "neither Hausdorff distances nor silhouettes, which take longer than a frame"
+    parser.add_argument(
+        "--quick", action="store_true", help="with --paper, a small study: 2 sequences, 3 conditions, 2 seeds, 30 frames"
+    )
+    parser.add_argument(
+        "--only", default="", metavar="A,B", help="with --paper, these studies and figures alone, such as main,figure-1"
+    )
+    what = "leave out Hausdorff distances and silhouettes, which take longer than a frame"
     parser.add_argument("--no-surfaces", action="store_true", help=what)
-    parser.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help="of --paper (default results)")
-    what = "default: ddakf,paper,kf,icp,pf,clothfit,opt-ed,nicp; with --paper: those of each study"
+    parser.add_argument(
+        "--results", type=Path, default=Path("results"), metavar="DIR", help="folder for the results of --paper (default results)"
+    )
+    what = "systems to compare (default ddakf,paper,kf,icp,pf,clothfit,opt-ed,nicp; with --paper: those of each study)"
     parser.add_argument("--methods", default="", metavar="A,B", help=what)
-    parser.add_argument("--runs", type=int, metavar="N", help="with seeds 1 to N (default 5, with --quick 2)")
-    parser.add_argument("--frames", default=":", metavar="A:B", help="from frame A, where the garment is known, to B - 1")
+    parser.add_argument("--runs", type=int, metavar="N", help="runs of each cell, with seeds 1 to N (default 5, with --quick 2)")
+    parser.add_argument("--frames", default=":", metavar="A:B", help="frames: from A, where the garment is known, to B - 1")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
     parser.add_argument(
-        "--procs", type=int, default=cores, metavar="N", help=f"processes of one thread each (default {cores}; 1 for exact times)"
+        "--procs", type=int, default=cores, metavar="N", help=f"number of processes (default {cores}; 1 for exact times)"
     )
     what = "run these systems again, or all, if their runs are of another commit or did not apply"
     parser.add_argument("--again", default="", metavar="A,B", help=what)
-    what = "runs that are made again keep their earlier times: times of two machines do not compare"
+    what = "keep the earlier times of runs that are made again, as times of two machines do not compare"
     parser.add_argument("--keep-times", action="store_true", help=what)
     what = "a tracker of your own, by import: a class with start and step (docs/benchmark.md); beside --methods"
     parser.add_argument("--submit", action="append", default=[], metavar="MODULE:CLASS", help=what)
     what = "write into results/ of the checkout although its code has uncommitted changes"
     parser.add_argument("--allow-dirty", action="store_true", help=what)
-    parser.add_argument("--json", type=Path, metavar="OUT.json", help="the result; needed without --paper")
+    parser.add_argument("--json", type=Path, metavar="OUT.json", help="file for the result; needed without --paper")
     sensor_options.add(parser, several_views=True)
     parser.set_defaults(run=run)
 

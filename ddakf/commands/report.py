@@ -12,10 +12,12 @@ def register(commands: argparse._SubParsersAction) -> None:
     """Adds the command to the parser."""
     parser = commands.add_parser("report", help="the paper's tables and figures from the results of ddakf evaluate --paper")
     parser.add_argument(
-        "--results", type=Path, default=RESULTS, metavar="DIR", help=f"of ddakf evaluate --paper (default {RESULTS})"
+        "--results", type=Path, default=RESULTS, metavar="DIR", help=f"folder of ddakf evaluate --paper (default {RESULTS})"
     )
-    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help=f"for index.html and the pictures (default {OUT})")
-    what = "also write the tables that these documents name into them"
+    parser.add_argument(
+        "--out", type=Path, default=OUT, metavar="DIR", help=f"folder for index.html and the pictures (default {OUT})"
+    )
+    what = "documents into which the tables that they name are written too"
     parser.add_argument("--markdown", type=Path, nargs="+", default=[], metavar="DOC.md", help=what)
     parser.set_defaults(run=run)
 

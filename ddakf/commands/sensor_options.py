@@ -20,37 +20,45 @@ def add(parser: argparse.ArgumentParser, *, several_views: bool = False) -> argp
     """
     group = parser.add_argument_group("sensor")
     if several_views:
-        what = "full (all around), front (one depth camera) or ring4 (four), with +body where the systems are told the body"
+        what = "views: full (points all around), front (one depth camera), ring4 (four); with +body the systems get the body"
         group.add_argument("--view", default="full", metavar="V,W", help=f"{what} (default full)")
     else:
-        what = "of a sequence: all around, one depth camera (default), or four"
+        what = "views of a sequence: full (points all around), front (one depth camera, the default) or ring4 (four)"
         group.add_argument("--view", choices=("full", "front", "ring4"), default="front", help=what)
-    group.add_argument("--points", type=int, default=10_000, metavar="N", help="at most (default 10000)")
+    group.add_argument(
+        "--points", type=int, default=10_000, metavar="N", help="at most this many points per frame (default 10000)"
+    )
     group.add_argument(
         "--noise-mm",
         type=float,
         metavar="MM",
-        help="standard deviation that is added (default: 3 for sequences, 0 for recordings)",
+        help="standard deviation of the noise that is added to the points (default: 3 for sequences, 0 for recordings)",
     )
-    group.add_argument("--drop", type=float, default=0.0, metavar="SHARE", help="of the points, lost at random")
-    group.add_argument("--outliers", type=float, default=0.0, metavar="SHARE", help="of the points, replaced")
+    group.add_argument("--drop", type=float, default=0.0, metavar="SHARE", help="share of the points that are lost at random")
+    group.add_argument(
+        "--outliers", type=float, default=0.0, metavar="SHARE", help="share of the points that are replaced by outliers"
+    )
     group.add_argument(
         "--depth-noise-mm",
         type=float,
         default=0.0,
         metavar="MM",
-        help="of a depth camera at 1 m, growing with the square of the depth (1.4: first Kinect)",
+        help="noise of a depth camera at 1 m, which grows with the square of the depth (1.4: first Kinect)",
     )
     group.add_argument(
         "--depth-step-mm",
         type=float,
         default=0.0,
         metavar="MM",
-        help="of a depth camera: quantisation at 1 m, growing with the square of the depth (2.9: first Kinect)",
+        help="step of a depth camera's values at 1 m, which grows with the square of the depth (2.9: first Kinect)",
     )
-    group.add_argument("--fliers", type=float, default=0.0, metavar="SHARE", help="of the pixels at depth edges, mixed")
+    group.add_argument(
+        "--fliers", type=float, default=0.0, metavar="SHARE", help="share of the pixels at depth edges that mix both depths"
+    )
     group.add_argument("--occlude", metavar="FROM:TO", help="frames in which the wearer's left side is hidden")
-    group.add_argument("--occluded", type=float, default=0.4, metavar="SHARE", help="of the garment, then (default 0.4)")
+    group.add_argument(
+        "--occluded", type=float, default=0.4, metavar="SHARE", help="share of the garment that --occlude hides (default 0.4)"
+    )
     group.add_argument("--every", type=int, default=1, metavar="N", help="take every N-th frame only (default 1)")
     return group
 

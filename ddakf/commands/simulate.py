@@ -27,16 +27,20 @@ def register(commands: argparse._SubParsersAction) -> None:
     parser = commands.add_parser("simulate", help="simulate a garment on a moving body (CC0)", epilog=EPILOG)
     parser.add_argument("--garment", choices=GARMENTS, required=True)
     parser.add_argument("--motion", choices=MOTIONS, required=True)
-    parser.add_argument("--frames", type=int, default=150, metavar="N", help="of the recording (default 150)")
+    parser.add_argument("--frames", type=int, default=150, metavar="N", help="frames of the recording (default 150)")
     parser.add_argument("--fps", type=float, default=30.0, help="frames per second (default 30)")
-    parser.add_argument("--vertices", type=int, default=2700, metavar="V", help="of the garment, approximately (default 2700)")
-    seed_help = "varies the garment's measures and the motion (default 0: unchanged)"
+    parser.add_argument(
+        "--vertices", type=int, default=2700, metavar="V", help="approximate number of vertices of the garment (default 2700)"
+    )
+    seed_help = "seed by which the garment's measures and the motion vary (default 0: unchanged)"
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=seed_help)
-    parser.add_argument("--fit", choices=FITS, default="regular", help="default regular")
-    parser.add_argument("--fabric", choices=FABRICS, default="cotton", help="weight, stretch, bending, friction (default cotton)")
+    parser.add_argument("--fit", choices=FITS, default="regular", help="how loose the garment is (default regular)")
+    parser.add_argument(
+        "--fabric", choices=FABRICS, default="cotton", help="fabric: its weight, stretch, bending and friction (default cotton)"
+    )
     body_help = "seed of the body's shape (default 0: the body that ships)"
     parser.add_argument("--body", type=int, default=0, metavar="N", help=body_help)
-    parser.add_argument("--out", type=Path, metavar="FILE.npz", help="default GARMENT_MOTION.npz")
+    parser.add_argument("--out", type=Path, metavar="FILE.npz", help="file for the recording (default GARMENT_MOTION.npz)")
     parser.set_defaults(run=run)
 
 

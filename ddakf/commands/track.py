@@ -34,21 +34,21 @@ def register(commands: argparse._SubParsersAction) -> None:
     """Adds the command to the parser."""
     parser = commands.add_parser("track", help="track a garment through a sequence or recording", epilog=EPILOG)
     parser.add_argument("path", metavar="SEQ.npz|DEPTH.mat|FOLDER[#PART]")
-    parser.add_argument("--frames", default=":", metavar="A:B", help="from frame A up to frame B - 1")
-    parser.add_argument("--seed", type=int, default=1, help="of the sensor's random numbers (default 1)")
+    parser.add_argument("--frames", default=":", metavar="A:B", help="frames that are tracked: from A up to B - 1")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the sensor's random numbers (default 1)")
 
     sensor = sensor_options.add(parser)
-    sensor.add_argument("--fps", type=float, help=f"of a recording that does not state them (default {FPS:g})")
+    sensor.add_argument("--fps", type=float, help=f"frames per second of a recording that does not state them (default {FPS:g})")
     sensor.add_argument(
         "--sensor-origin",
         type=float,
         nargs=3,
         metavar=("X", "Y", "Z"),
-        help="where the camera of a folder of clouds was, in the files' unit (default: as a .pcd's VIEWPOINT or a .ply's "
+        help="place of the camera of a folder of clouds, in the files' unit (default: as a .pcd's VIEWPOINT or a .ply's "
         "comment sensor_origin says)",
     )
 
-    sensor.add_argument("--unit", choices=UNITS, help="of a folder of clouds and of its template (default m)")
+    sensor.add_argument("--unit", choices=UNITS, help="unit of a folder of clouds and of its template (default m)")
 
     tracker = parser.add_argument_group("tracker")
     tracker.add_argument(
@@ -62,19 +62,21 @@ def register(commands: argparse._SubParsersAction) -> None:
         "file, or turned and moved away at random, so that the tracker has to search",
     )
     tracker.add_argument("--template", metavar="FILE", help="mesh to track in a recording (default: its first frame)")
-    tracker.add_argument("--paper", action="store_true", help="the paper's method as printed")
+    tracker.add_argument("--paper", action="store_true", help="track with Config.paper(), the paper's method as printed")
     tracker.add_argument("--config", metavar="JSON", help="""parts of the configuration, such as '{"start": {"up": "z"}}'""")
-    tracker.add_argument("--fabric", metavar="NAME", help="cotton, silk, jersey, wool or denim")
+    tracker.add_argument("--fabric", metavar="NAME", help="fabric of the garment: cotton, silk, jersey, wool or denim")
 
     remote = parser.add_argument_group("server")
     server_options.add(remote, server=None, meaning="track on the server with this gRPC address, through its client")
-    remote.add_argument("--codec", metavar="NAME", help="of the clouds that are sent to the server")
+    remote.add_argument("--codec", metavar="NAME", help="codec of the clouds that are sent to the server")
 
     output = parser.add_argument_group("output")
-    output.add_argument("--out", metavar="R.npz", help="vertices, sigma, reliability, states, timestamps")
-    output.add_argument("--meshes", metavar="FOLDER", help="the garment of each frame, as NUMBER.obj, into a folder that exists")
-    output.add_argument("--picture", metavar="P.png", help="picture of the frame in the middle")
-    output.add_argument("--animation", metavar="P.gif|P.webp", help="animation of the run")
+    output.add_argument("--out", metavar="R.npz", help="file for the result: vertices, sigma, reliability, states, timestamps")
+    output.add_argument(
+        "--meshes", metavar="FOLDER", help="existing folder into which the garment of each frame is written, as NUMBER.obj"
+    )
+    output.add_argument("--picture", metavar="P.png", help="file for a picture of the middle frame")
+    output.add_argument("--animation", metavar="P.gif|P.webp", help="file for an animation of the run")
     output.add_argument("--live", action="store_true", help="show reliability, rate and times of stages while it tracks")
     output.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     parser.set_defaults(run=run)

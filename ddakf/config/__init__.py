@@ -1,8 +1,8 @@
 """Configuration of a tracker: frozen dataclasses, one per stage.
 
 Every field has a default, a unit, a meaning and a range. Clients may send configurations: the range of a count that sets the
-cost of a search ends a few times above its default. Constants that do not shape the result stay beside their use: tolerances of
-algorithms, sizes of buffers, limits on input. ``docs/configuration.md`` lists the reason for every value.
+cost of a search ends a few times above its default. Other numbers are constants beside their use: thresholds that decide which
+rule applies, tolerances of algorithms, sizes of buffers, limits on input. ``docs/fields.csv`` lists every field with its reason.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Config:
-    """Every number that shapes a tracker's result.
+    """The numbers of a tracker that can be chosen, one field per stage.
 
     ``Config()`` is the product, ``Config.fast()`` a cheaper one, ``Config.paper()`` the method as printed.
     """
@@ -163,7 +163,7 @@ class Config:
 
     @classmethod
     def fast(cls) -> Config:
-        """Half to three quarters of the default's time for a larger error: a coarser working mesh, fewer passes."""
+        """0.5 to 0.7 times the default's time for a larger error: a coarser working mesh, fewer passes."""
         return cls(
             discretisation=Discretisation(
                 working_edge=0.025,

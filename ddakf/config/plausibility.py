@@ -13,13 +13,13 @@ class Sidedness(Checked):
 
     estimate: bool = True  # the estimated side takes the place of a missing sensor origin
     interval: int = bounded(8, 1, 1000)  # frames from one look at the cloud to the next
-    points: int = bounded(1500, 100, 10_000)  # of a cloud that are looked at, at most
-    least_points: int = bounded(400, 100, 10_000)  # near the garment; fewer do not tell one layer from two
-    directions: int = bounded(32, 4, 128)  # that a cloud is looked at along, spread over a half-sphere
-    points_per_cell: float = bounded(4.0, 1, 100)  # of a garment seen all around; sets the width of a cell
+    points: int = bounded(1500, 100, 10_000)  # most points of a cloud that are looked at
+    least_points: int = bounded(400, 100, 10_000)  # least points near the garment that tell one layer from two
+    directions: int = bounded(32, 4, 128)  # number of directions along which a cloud is looked at, spread over a half-sphere
+    points_per_cell: float = bounded(4.0, 1, 100)  # points of a cell in a garment seen all around, which sets its width
     gap: float = bounded(1.5, 0.1, 10)  # in cells: a point deeper than that behind another is of a second layer
     one_sided: float = bounded(0.12, 0, 1)  # share of the points in a second layer, below which a cloud shows one side
-    all_sides: float = bounded(0.2, 0, 1)  # above which it shows more
+    all_sides: float = bounded(0.2, 0, 1)  # the same, above which it shows more
     plateau: float = bounded(0.02, 0, 1)  # directions with so much more in a second layer are as good as the best
     memory: float = bounded(0.5, 0, 1)  # share that the looks before have in the running means
     distance: float = bounded(20.0, 1, 1e4)  # m from the cloud to the place where its sensor is assumed

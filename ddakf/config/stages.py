@@ -27,7 +27,7 @@ class ConstantVelocity(Checked):
 class ConstantAcceleration(ConstantVelocity):
     """Constant velocity with an acceleration: the smoothed change of the velocities, which prediction continues."""
 
-    share: float = bounded(0.5, 0, 1)  # of the smoothed acceleration that prediction continues
+    share: float = bounded(0.5, 0, 1)  # share of the smoothed acceleration that prediction continues
     memory: float = bounded(0.1, 1e-3, 10)  # s, time constant of the smoothing and duration of the continued acceleration
 
 
@@ -40,13 +40,13 @@ class Anchor(Checked):
     normal_sd: float = bounded(0.001, 1e-4, 10)  # m, first guess of the deviation of cloth on the body, along the normal
     clearance_slope: float = bounded(0.4, 0, 10)  # m more per m from the body
     hanging_slope: float = bounded(0.02, 0, 10)  # m more per m of cloth from the garment's top
-    least_sd: float = bounded(0.001, 1e-4, 1)  # m, learned deviation along the normal, at least
-    first_share: float = bounded(0.05, 1e-4, 10)  # of a patch; measurements of as much weigh as much as the first guess
-    slip_sd: float = bounded(0.001, 1e-4, 1)  # m by which cloth slips on the body, at the garment's top: a waistband
-    shoulder_slip_sd: float = bounded(0.005, 1e-4, 1)  # the same of a garment that lies on the shoulders
+    least_sd: float = bounded(0.001, 1e-4, 1)  # m, least learned deviation along the normal
+    first_share: float = bounded(0.05, 1e-4, 10)  # share of a patch whose measurements weigh as much as the first guess
+    slip_sd: float = bounded(0.001, 1e-4, 1)  # m, sd of the slip of cloth on the body at the garment's top, as of a waistband
+    shoulder_slip_sd: float = bounded(0.005, 1e-4, 1)  # m, the same of a garment that lies on the shoulders
     slip_slope: float = bounded(0.15, 0, 10)  # m more per m of cloth from there
-    slip_share: float = bounded(2.0, 0, 10)  # of what such a garment is seen to slip, by which it is held
-    seen_slip: float = bounded(2.0, 0, 100)  # times that, where it is seen
+    slip_share: float = bounded(2.0, 0, 10)  # factor on the slip that such a garment is seen to have, which gives its sd
+    seen_slip: float = bounded(2.0, 0, 100)  # factor on that sd at seen vertices
 
 
 # Preprocessing ------------------------------------------------------------------------------------------------------
@@ -58,15 +58,15 @@ class GridFilter(Checked):
 
     points_per_cell: float = bounded(5.0, 0.5, 100)  # sets the cell size from the garment's area and the number of points
     widest_cell: float = bounded(0.04, 1e-3, 10)  # m, of a sparse cloud, whose cells hold fewer points instead
-    least_per_cell: float = bounded(2.0, 0.5, 100)  # points, however sparse the cloud; points_per_cell if that is less
-    flat_share: float = bounded(0.75, 0, 1)  # of neighbourhoods; where fewer are flat, cells are as narrow as noise and grow
+    least_per_cell: float = bounded(2.0, 0.5, 100)  # least points of a cell in a sparse cloud; points_per_cell if that is less
+    flat_share: float = bounded(0.75, 0, 1)  # share of flat neighbourhoods, below which cells are as narrow as the noise and grow
     crowded: float = bounded(8.0, 1, 1e3)  # points in the cell of a point, from which cells grow no more
-    doublings: int = bounded(2, 0, 8)  # of points_per_cell at most, by which cells grow
-    neighbours: int = bounded(16, 2, 64)  # as in the paper's filter
-    ratio: float = bounded(2.0, 0.1, 10)  # in standard deviations, as there
+    doublings: int = bounded(2, 0, 8)  # most times that points_per_cell is doubled
+    neighbours: int = bounded(16, 2, 64)  # nearest neighbours whose mean distance is taken, as in the paper
+    ratio: float = bounded(2.0, 0.1, 10)  # standard deviations above the mean distance: farther is an outlier, as in the paper
     clean_factor: float = bounded(2.0, 0, 100)  # mean distances: a point whose neighbours are nearer is no outlier
     suspect_rings: int = bounded(4, 1, 100)  # cells around a point: with fewer neighbours in them it is an outlier
-    suspect_share: float = bounded(0.4, 0, 1)  # of the median neighbourhood; below it a point's neighbours are computed
+    suspect_share: float = bounded(0.4, 0, 1)  # share of the median number of neighbours, below which a point is a suspect
     sample: int = bounded(300, 1, 100_000)  # other points that enter the statistics
     plane_radius: float = bounded(1.0, 0.2, 1.0)  # in cells: neighbourhood of a plane fit
     planes_per_vertex: float = bounded(8.0, 0.1, 100)  # plane fits, about; a denser cloud is subsampled to as many
@@ -99,18 +99,18 @@ class SkinRemoval(Checked):
 class PlaneAssociation(Checked):
     """Plane-aligned measurements with visibility, repeated inside the frame."""
 
-    iterations: int = bounded(8, 1, 50)  # re-associations in a frame, at most
-    slow_iterations: int = bounded(24, 1, 100)  # the same of frames that are farther apart than at 30 per second, at most
+    iterations: int = bounded(8, 1, 50)  # most re-associations in a frame
+    slow_iterations: int = bounded(24, 1, 100)  # the same in frames that are farther apart than 1/30 s
     least_iterations: int = bounded(2, 1, 50)
     tolerance: float = bounded(0.0007, 0, 0.1)  # m, RMS correction at which re-association stops; less where passes may be more
     wide_gate: float = bounded(0.10, 1e-3, 1)  # m, search radius of the first association
-    narrow_gate: float = bounded(0.03, 1e-3, 1)  # m, of the last ones
+    narrow_gate: float = bounded(0.03, 1e-3, 1)  # m, search radius of the last associations
     narrowing: float = bounded(0.6, 0.01, 1)  # factor from one pass to the next
     reassociation_motion: float = bounded(0.05, 0, 1)  # in cells: a vertex that moved less since its last search keeps its plane
-    lateral_gate: float = bounded(1.4, 0.1, 1e3)  # mean surfel spacings along the plane to its point, at most
-    normal_cosine: float = bounded(0.5, -1, 1)  # agreement of vertex and cloud normals, at least
+    lateral_gate: float = bounded(1.4, 0.1, 1e3)  # mean surfel spacings, most from the vertex to its point along the plane
+    normal_cosine: float = bounded(0.5, -1, 1)  # least cosine between the normals of vertex and cloud
     normal_distance: float = bounded(0.015, 0, 1)  # m: distance that a unit difference of the normals counts as
-    facing_cosine: float = bounded(-0.3, -1, 1)  # cosine between a vertex normal and its sensor, at least
+    facing_cosine: float = bounded(-0.3, -1, 1)  # least cosine between a vertex normal and the direction to its sensor
     hidden_depth: float = bounded(0.02, 0, 100)  # m: a surface in front of a vertex by more than this hides it
     visibility_motion: float = bounded(0.003, 0, 1)  # m, RMS motion within a frame after which visibility is judged again
     occluder_cell: float = bounded(1.5, 0.1, 10)  # edges: the vertices of an occluding surface leave no holes in such cells
@@ -118,11 +118,11 @@ class PlaneAssociation(Checked):
     hem_width: float = bounded(0.012, 1e-3, 0.1)  # m along the boundary to either side, where the end is sought; more if sparse
     hem_spacings: float = bounded(1.5, 0, 10)  # mean distances of the points to either side, if that is wider; up to hem_reach
     hem_depth: float = bounded(0.010, 1e-3, 0.1)  # m above and below, and a third of the way across; another layer is farther
-    hem_sd: float = bounded(0.004, 1e-4, 10)  # m, of the cloud's end
-    tangential_sd: float = bounded(0.03, 1e-3, 10)  # m, of the blended point within its plane
-    bulge: float = bounded(0.3, 0, 1)  # of what a vertex stands out of its neighbours, which a plane of a patch as wide flattens
-    points: int = bounded(2200, 0, 1_000_000)  # of the cloud per m^2 of the garment that measure the faces beneath them; 0: none
-    points_weight: float = bounded(0.5, 0, 1e3)  # of each, against a vertex's plane; of more where the cloud has fewer
+    hem_sd: float = bounded(0.004, 1e-4, 10)  # m, sd of the place of the cloud's end
+    tangential_sd: float = bounded(0.03, 1e-3, 10)  # m, sd of the blended point within its plane
+    bulge: float = bounded(0.3, 0, 1)  # share of a vertex's height above its neighbours that a plane as wide flattens
+    points: int = bounded(2200, 0, 1_000_000)  # points per m^2 of the garment that measure the faces beneath them; 0: none
+    points_weight: float = bounded(0.5, 0, 1e3)  # weight of a point over that of a vertex's plane; more in sparse clouds
     points_edge: float = bounded(0.03, 1e-3, 1)  # m: in meshes with shorter edges there are fewer
     points_finest: float = bounded(0.018, 1e-3, 1)  # m: in meshes with edges as short as this there are none
     points_beside: float = bounded(0.006, 1e-4, 0.1)  # m along a face: a point farther beside its nearest place has none
@@ -228,8 +228,8 @@ class Uncertainty(Checked):
     """Drift of the estimate from the truth, and the bounds."""
 
     strain_reach: float = bounded(0.15, 0, 10)  # m, length of cloth along which present strain adds up
-    missed_share: float = bounded(0.2, 0, 10)  # of an innovation that stays as an error of the patch's place
-    unseen_motion: float = bounded(2.0, 0, 100)  # of its own motion that an unseen patch may have moved otherwise
+    missed_share: float = bounded(0.2, 0, 10)  # share of an innovation that stays as an error of the patch's place
+    unseen_motion: float = bounded(2.0, 0, 100)  # factor on the motion of an unseen patch, as which it may have moved otherwise
     return_time: float = bounded(1.0, 1e-3, 1e9)  # s in which errors fade to 1/e where all is seen and reliable
     plane_persistence: float = bounded(4.0, 0.1, 1000)  # frames over which plane fits repeat their error
     vertex_share: float = bounded(0.3, 0, 10)  # variance of a vertex about its patch, over the variance of the patch
@@ -239,9 +239,9 @@ class Uncertainty(Checked):
     least_bend: float = bounded(0.02, 1e-6, 1)  # 1 - |mean normal|^2 of a patch, as no patch is flatter
     least_coverage: float = bounded(0.02, 0, 1)  # share of the vertices whose innovations tell how far predictions miss
     turn_rate: float = bounded(30.0, 0, 1e4)  # degrees/s by which a wearer may turn in a garment that does not show it
-    turn_share: float = bounded(0.08, 1e-6, 1)  # of the turn's motion that is along the normals, from which on the cloud shows it
-    smooth_folds: float = bounded(0.001, 1e-6, 1)  # m, height of folds from which on they show it
-    missed_turn: float = bounded(0.1, 0, 1)  # share of the turn of a skirt or cape that its folds do not show
+    turn_share: float = bounded(0.08, 1e-6, 1)  # share of a turn's motion along the normals, from which on it is seen
+    smooth_folds: float = bounded(0.001, 1e-6, 1)  # m, height of folds from which on they show a turn
+    missed_turn: float = bounded(0.1, 0, 1)  # share of the turns of a skirt or cape that folds do not show
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2
     ceiling_speed_sd: float = bounded(10.0, 1e-3, 1e4)  # m/s: trace(P_uu) is at most 3 ceiling_speed_sd^2
@@ -345,10 +345,10 @@ class PaperReliability(Checked):
 class ErrorEvidence(Checked):
     """Comparison of the cloud with the surface, as evidence of the error."""
 
-    points: int = bounded(800, 1, 10_000)  # of a cloud that are compared, at least, and less than twice as many
+    points: int = bounded(800, 1, 10_000)  # least points of a cloud that are compared, and less than twice as many
     reach: float = bounded(0.10, 0.01, 1)  # m: a point farther from all vertices says nothing about the surface
-    foreign_share: float = bounded(0.15, 0, 1)  # of such points, removed ones too; a cloud with more is of more than the garment
-    foreign_rest: float = bounded(0.02, 0, 1)  # share that skin removal and colours have left of them, from which on it still is
+    foreign_share: float = bounded(0.15, 0, 1)  # share of unexplained and removed points, above which a cloud has more than cloth
+    foreign_rest: float = bounded(0.02, 0, 1)  # share of unexplained points that are left, above which it is so
     unexplained_distance: float = bounded(0.04, 0, 1)  # m: no vertex explains a point farther from all of them
     unexplained_edges: float = bounded(1.5, 0, 100)  # the same in mean edge lengths; the longer of the two counts
     clump_points: int = bounded(3, 1, 1000)  # unexplained points in a cell, from which on they are no stray points
@@ -382,4 +382,4 @@ class Follow(Checked):
     reach: float = bounded(0.15, 0, 10)  # m, sd of the weight of seen cloth around a place; 0: hidden cloth does not follow
     onset: float = bounded(0.1, 1e-3, 10)  # m along the cloth from what is seen, over which following sets in
     time: float = bounded(1.5, 1e-3, 1e6)  # s, time constant with which the state follows
-    share: float = bounded(0.3, 0, 1)  # of what is left, by which the result follows
+    share: float = bounded(0.3, 0, 1)  # share of the way that is left, by which the result follows

@@ -25,14 +25,14 @@ def collapsed(problem: Problem, estimate: Estimate, verdict: Verdict) -> bool:
     if isinstance(config, PaperReliability) or estimate.rejected or before < config.gate_above:
         return False
     if len(problem.frame.points) == 0:
-        return False  # it counts as time without points, which a held frame does not
+        return False  # an empty cloud counts towards a loss, a held frame does not
     share, widening = verdict.health.reliability, omission.widening(problem, estimate)
-    whole = share / (share + (1.0 - share) / widening**2)  # the score of an error that is not widened
+    whole = share / (share + (1.0 - share) / widening**2)  # score without the widening of the error by omitted work
     return whole < config.gate_ratio * before
 
 
 def held(problem: Problem, estimate: Estimate, verdict: Verdict) -> tuple[Estimate, Verdict]:
-    """The estimate at its prediction, and the verdict without what the cloud said of the fit."""
+    """The estimate put back to the prediction, and the verdict with the evidence about the error as it was before the frame."""
     after, position = verdict.health, problem.prior.position
     health = problem.health._replace(state=after.state, spacing=after.spacing, reliability=after.reliability)
     contacts = None if estimate.contacts is None else contact.followed(problem, position)

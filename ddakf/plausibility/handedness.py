@@ -7,14 +7,14 @@ import numpy as np
 from ddakf.mesh import Mesh
 from ddakf.types import Estimate, Problem, Sign
 
-SAMPLE = 128  # planes that are looked at
-LYING = 0.6  # times its width, below which the height of a body is that of one that lies
-UPRIGHT = 1.8  # times its width, from which on a body stands straight, with arms at its sides
-OVERTURNED, OVERTURNED_WIDE = 0.49, 0.45  # height of the middle of its surface, over its own; people have more than half of it
-WHOLE = 1.2  # m: a lower body may be a part of one, of which half of the surface need not be above the middle
-HOLLOW = -0.1  # mean cosine between normals and the directions from the middle; of a standing person it is 0.25
-TURNED = 0.4  # rad, from which on the turn that is expected of a garment is told
-FITS = 0.35  # reliability of the last frame above which a hollow shape is right
+SAMPLE = 128  # number of planes that are looked at
+LYING = 0.6  # height over width of a body, below which it lies
+UPRIGHT = 1.8  # height over width of a body, above which it stands straight, with arms at its sides
+OVERTURNED, OVERTURNED_WIDE = 0.49, 0.45  # least height of the middle of its surface over a body's height; people have over half
+WHOLE = 1.2  # m: a lower body may be a torso, for which OVERTURNED says nothing
+HOLLOW = -0.1  # mean cosine between normals and the directions from the middle, below which a shape is hollow; a person has 0.25
+TURNED = 0.4  # rad, expected error of the heading from which on it is a warning
+FITS = 0.35  # reliability of the last frame, above which a hollow shape is right
 
 
 def mirrored(problem: Problem, estimate: Estimate) -> Sign | None:

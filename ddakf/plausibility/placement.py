@@ -10,15 +10,15 @@ from ddakf.plausibility import sidedness
 from ddakf.stages.grid import nearest_vertices, spread_rows
 from ddakf.types import Estimate, Problem, Sign
 
-SAMPLE = 128  # points that are looked at
-BEHIND = 0.05  # share of a sensor's points on its other side
-ALL_SIDES = 0.75  # of the share that is behind others in a garment from all sides: no camera sees as many alone
-BESIDE = 0.25  # m from the garment, within which its wearer is looked for
-BEYOND = 0.1  # share of the points there that lie beyond a boundary of the garment
-ENOUGH = 20  # points there that have such a share
-SPLIT = 8  # edges; a few may be a slit that is closed at rest
-OFF = 0.005  # m; exact bodies show 3 mm at most, where points have 10 mm of noise
-SEEN = 0.2  # share of the vertices, with which the garment's place is known
+SAMPLE = 128  # number of points that are looked at
+BEHIND = 0.05  # share of a sensor's points on its other side, from which on they are a sign
+ALL_SIDES = 0.75  # share of points behind others, over that of a garment seen from all sides: one camera never sees it
+BESIDE = 0.25  # m: points so near to the garment may be of its wearer
+BEYOND = 0.1  # share of these points beyond a boundary of the garment, from which on they are a sign
+ENOUGH = 20  # least number of these points
+SPLIT = 8  # open edges at the place of another, from which on they are a sign; a few may be a slit that is closed at rest
+OFF = 0.005  # m, depth of cloth inside the body, from which on it is a sign; exact bodies show 3 mm with 10 mm of noise
+SEEN = 0.2  # least share of observed vertices at which the garment's place is known
 
 
 def nothing_in_reach(problem: Problem, estimate: Estimate) -> Sign | None:
@@ -68,7 +68,7 @@ def points_behind_sensor(problem: Problem, estimate: Estimate) -> Sign | None:
     behind = float((np.einsum("na,na->n", toward, mean[sensor]) < 0.0).mean())
     if behind >= BEHIND:
         return Sign("sensor_origin", f"{behind:.0%} of the points lie behind their sensor as it looks at the others")
-    if origin.ndim > 1 or problem.last.view.one_sided:  # each has its own, or none came and this one is a guess
+    if origin.ndim > 1 or problem.last.view.one_sided:  # each point has its origin, or the origin is estimated
         return None
     return _of_several_sensors(problem)
 

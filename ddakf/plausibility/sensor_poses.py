@@ -16,10 +16,10 @@ from ddakf.stages.frame_input import MAX_SENSORS
 from ddakf.stages.grid import spread_rows
 from ddakf.types import Estimate, FrameInput, Problem, Sensors, Setup, Sign, Track
 
-SAME = 0.1  # m within which the origin of a sensor that is carried stays that of one sensor
-NEIGHBOURS = 10  # points of one sensor in a neighbourhood, where the bounds of its radius allow it
-MARGIN = 0.1  # m around the garment's last place; farther points do not count
-FARTHEST = 0.1  # m, longest shift
+SAME = 0.1  # m: an origin that moved less since the last frame is of the same sensor
+NEIGHBOURS = 10  # points of one sensor in a neighbourhood, if the bounds of its radius allow it
+MARGIN = 0.1  # m around the garment's last place, beyond which points do not count
+FARTHEST = 0.1  # m, length of the longest shift
 MAX_CELLS = 1 << 21
 OFF = 0.005  # m, root mean square of the shifts from which on sensors are misplaced
 
@@ -96,13 +96,13 @@ def _looked(setup: Setup, last: Track, frame: FrameInput, sensors: Sensors, sens
         sensor, farthest = sensor[chosen], np.abs(sensors.shift).max()
         near = frame.points[chosen] - sensors.shift[sensor]
         lower, upper = lower - farthest, upper + farthest
-        radius = np.sqrt(NEIGHBOURS * 0.5 * setup.model.area * n / (np.pi * len(chosen)))  # each sees half of it at most
+        radius = np.sqrt(NEIGHBOURS * 0.5 * setup.model.area * n / (np.pi * len(chosen)))  # one sensor sees half at most
         grid = _grid(lower, upper, float(np.clip(radius, config.radius, 2.0 * config.radius)))
         points, index = np.empty((3, len(near)), np.float32), np.empty(len(near), np.int32)
         grids.fill_grid(near, np.arange(len(near), dtype=np.int32), grid, points, index)
         eye, stride = sensors.origin - sensors.shift - lower, max(1, len(near) // config.neighbourhoods)
         kernels.accumulate(points, grid, sensor[index], eye, stride, information, vector)
-    vector += information @ sensors.shift.ravel()  # the distances were those of shifted points
+    vector += information @ sensors.shift.ravel()  # the distances were measured between shifted points
     now, old = frame.timestamp, 0.0
     if sensors.time is not None:
         old = float(np.exp((sensors.time - now) / config.memory))

@@ -19,9 +19,9 @@ from ddakf.kernels.visibility import perpendicular_axes
 from ddakf.stages.grid import spread_rows
 from ddakf.types import FrameInput, Model, Problem, Setup, Sides, Track, View
 
-BESIDE = 0.5  # least cosine between directions of one plateau
-STEEP = 0.5  # cosine to the vertical up to which a direction is level
-FLAT = 0.9  # length of the mean normal, from which a sheet is flat; level directions see its edge
+BESIDE = 0.5  # least cosine between the best direction and others that are as good
+STEEP = 0.5  # cosine to the vertical, below which a direction is level
+FLAT = 0.9  # length of the mean normal, above which a sheet is flat; level directions see its edge
 
 
 def seen(setup: Setup, last: Track, frame: FrameInput) -> tuple[FrameInput, View]:

@@ -9,21 +9,21 @@ from ddakf.mesh import Mesh
 from ddakf.stages.grid import spread_rows
 from ddakf.types import Estimate, FrameInput, Problem, Setup, Sign, Track
 
-SCALE = 10.0  # times as large or as small as the garment: no cloud of it is
-FASTEST = 100.0  # m/s: no garment is
-SMALLEST = 20.0  # times smaller, while tracking: more may be hidden then than at the start
-SEEN = 0.05  # share of the vertices that a cloud of the right unit is near; it need not be measured
-ENOUGH = 100  # points that have a size
-SAMPLE = 256  # points whose size is measured
-CENTRAL = 0.8  # share of the points, and of the extent of an even cloud, that is measured
-NEAR = 0.01  # share of the points about the garment with which a large cloud is a scene that contains it
-LONG_STEP, SHORT_STEP = 5.0, 2e-4  # s: no sensor is slower, or faster
-LONG_GAP = 86_400.0  # s: no recording pauses longer, so that a clock was set or another one read
-LARGEST, LEAST = 10.0, 0.15  # m: no garment is larger, hardly one smaller
-AT_BOUND = 1e-6  # of the logarithm of a size, below its bound
-OTHER_SIZE = 0.05  # growth along an axis of the template, from which on it is of another size
-LIKE = 3.0  # ratio of two time steps that are alike
-POSE = 1.6  # a pose, or a view, changes a size by less
+SCALE = 10.0  # ratio of the sizes of cloud and garment, either way, that no cloud of the garment has
+FASTEST = 100.0  # m/s, speed that no garment has
+SMALLEST = 20.0  # size of the garment over that of the cloud, while tracking: more may be hidden than at the start
+SEEN = 0.05  # share of observed vertices, above which the unit is right
+ENOUGH = 100  # least number of points of a cloud whose size counts
+SAMPLE = 256  # number of points of which the size is measured
+CENTRAL = 0.8  # share of the points between the two that are measured: stray points lie outside
+NEAR = 0.01  # share of the points around the garment, above which a large cloud is a scene with the garment in it
+LONG_STEP, SHORT_STEP = 5.0, 2e-4  # s, longest and shortest time between two frames of a sensor
+LONG_GAP = 86_400.0  # s, longest pause of a recording: after a longer one the clock was set, or is another one
+LARGEST, LEAST = 10.0, 0.15  # m, size of the largest garment that is accepted, and of the smallest without a warning
+AT_BOUND = 1e-6  # logarithm of a size, by which it is below its bound
+OTHER_SIZE = 0.05  # growth along an axis of the template, from which on the garment is of another size
+LIKE = 3.0  # ratio of two time steps, up to which they are alike
+POSE = 1.6  # ratio of two sizes, up to which a pose or a view explains it
 UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches"}  # in a metre
 STEPS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}  # in a second
 USUAL_STEP = 1.0 / 30.0  # s

@@ -13,15 +13,15 @@ from ddakf.results import InputWarning, WarningCode
 from ddakf.stages.reliability import Verdict
 from ddakf.types import Estimate, InputReference, Model, Problem, Sign
 
-PERIOD = 0.2  # s between looks for signs that do not come and go
+PERIOD = 0.2  # s between two looks for signs that last
 
 
 class Check(NamedTuple):
     """A sign that is looked for."""
 
     find: Callable[[Problem, Estimate], Sign | None]
-    frames: int  # in a row, from which on it is a warning
-    spaced: bool = False  # looked for once in a period, and then in every frame until it is gone
+    frames: int  # number of frames in a row with the sign, from which on it is a warning
+    spaced: bool = False  # whether it is looked for once in a PERIOD, and in every frame while it is there
 
 
 def _sensor_origin_missing(problem: Problem, estimate: Estimate) -> Sign | None:

@@ -19,14 +19,14 @@ from ddakf.kernels.visibility import VisibilityLimits, mark_visible
 from ddakf.stages.grid import nearest_vertices
 from ddakf.types import Estimate, Hem, Measurement, Problem, Surfels
 
-FACE_REACH = 1.25  # edges: a vertex of the face beneath a point is as near
-RIM_COSINE = 0.5  # of normal and direction to a camera: seen vertices that face it by no more are its rim
-RIM_REACH = 0.04  # m across the view, within which the cloud is sought beside seen vertices
-RIM_FLOOR = 0.003  # m: a smaller median gap of the other vertices is none
-RIM_WHOLE, RIM_NONE = 1.9, 2.5  # gap of the rim over theirs: up to the first hems count wholly, from the second on not at all
-RIM_MOST = 1.5  # vertices of the rim over the others: of a garment that is seen along itself the rim tells less
-RIM_MEMORY = 0.3  # s, time constant of that ratio
-NEAR_CELLS = 3.99  # search radius in the cells of a dense cloud; four rings
+FACE_REACH = 1.25  # edges: distance within which a point has a vertex of the face beneath it
+RIM_COSINE = 0.5  # cosine between normal and direction to the camera: seen vertices with a smaller one are the rim
+RIM_REACH = 0.04  # m across the view, within which the nearest point of a seen vertex is sought
+RIM_FLOOR = 0.003  # m, least gap of the other seen vertices that the gap of the rim is compared with
+RIM_WHOLE, RIM_NONE = 1.9, 2.5  # ratio of the two gaps: hems count fully below the first, not at all above the second
+RIM_MOST = 1.5  # vertices of the rim over the others, above which the ratio counts less: the garment is seen along itself
+RIM_MEMORY = 0.3  # s, time constant of the ratio's running mean
+NEAR_CELLS = 3.99  # longest search radius in the small cells of a dense cloud, in cells: four rings
 
 
 def gates(problem: Problem) -> Iterator[float]:

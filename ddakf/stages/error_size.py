@@ -22,21 +22,21 @@ from ddakf.kernels.error_size import LogLaw
 from ddakf.kernels.uncertainty import PatchMeans
 from ddakf.types import Estimate, Model, Problem
 
-LEAST_SHARE = 0.02  # along the normals: of the straightest skirts that the laws were fitted on
-BALL = 5.0  # inverse normal share that says nothing of slipping
-USUAL = 0.005  # m, claimed error that the laws' bases belong to
-FARTHEST = 0.1  # m from the body; more is no worse
-FARTHEST_ALONG = 0.6  # m along the cloth; more is no worse
+LEAST_SHARE = 0.02  # least slippage (normal share) that counts: that of the straightest skirts of the fit
+BALL = 5.0  # inverse of the slippage of a shape that does not slip
+USUAL = 0.005  # m, claimed error at which a law gives its base
+FARTHEST = 0.1  # m, longest distance from the body that counts
+FARTHEST_ALONG = 0.6  # m, longest distance along the cloth that counts
 
 
 class PatchEvidence(NamedTuple):
     """Evidence of a frame about the error of each patch. L patches."""
 
-    size: np.ndarray  # (L,) vertices
-    observed: np.ndarray  # (L,) of them measured
+    size: np.ndarray  # (L,) number of vertices
+    observed: np.ndarray  # (L,) number of measured vertices
     means: PatchMeans
     strain: np.ndarray  # (V,) mean squared strain of the edges at each vertex against rest
-    isotropic: bool  # the measurements are points, as well known across as along
+    isotropic: bool  # whether the measurements are points, as well known across the normal as along it
     missed: np.ndarray  # (3, 3) m^2, mean d d' of what the prediction missed at measured vertices, the body's part included
 
 

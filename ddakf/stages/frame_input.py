@@ -13,10 +13,10 @@ from ddakf.stages.grid import first_rows
 from ddakf.types import FrameInput
 
 MAX_POINTS = 1_000_000
-MAX_SENSORS = 64  # each costs a test of visibility per vertex
+MAX_SENSORS = 64  # each sensor costs a test of visibility per vertex
 MAX_TIME = 1e12  # s: 30,000 years
-BODY_FACTOR = 4.0  # a pose changes a body's extent by less; millimetres for metres change it by 1,000
-LEAST_STEP = 1e-6  # s: two frames closer than that are one
+BODY_FACTOR = 4.0  # largest ratio of a body's sizes in two poses; millimetres for metres give 1,000
+LEAST_STEP = 1e-6  # s, shortest time between two frames
 
 
 def checked(given: FrameInput, last: float | None, body: Mesh | None) -> FrameInput:

@@ -26,10 +26,10 @@ from ddakf.physics.energies import total_blocks, total_gradient
 from ddakf.stages import robust
 from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
 
-NOISY = 2.0  # variance of points over that of planes, from which on they count less
-OPPOSITE = -0.4  # cosine between the directions to two sensors that see all sides of a garment, at most
-SLIPPERY = 0.1  # least share of a rigid motion along the normals, below which a garment slips along itself
-LEAST_MOTION = 0.25  # of the rigidity between frames, that such a garment has at least where it is seen
+NOISY = 2.0  # variance of points on faces over that of planes, above which the points count less
+OPPOSITE = -0.4  # cosine between the directions to two sensors, below which they see all sides of a garment
+SLIPPERY = 0.1  # slippage (see garment.slippage), below which a garment slips along itself
+LEAST_MOTION = 0.25  # least factor on the rigidity between frames at the seen vertices of such a garment
 
 
 def begin(problem: Problem) -> Estimate:
@@ -302,7 +302,7 @@ class SolverLimits(NamedTuple):
     """Where conjugate gradients stop."""
 
     iterations: int
-    tolerance: float  # by which the residual's norm falls, as the preconditioner measures it
+    tolerance: float  # factor by which the norm of the residual falls, in the preconditioner's norm
 
 
 def solve(system: System, coarse_inverse: np.ndarray, model: Model, limits: SolverLimits) -> np.ndarray:

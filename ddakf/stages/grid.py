@@ -14,10 +14,10 @@ from ddakf.kernels.preprocess import Grid
 # Of a search, cells within its reach at most, of the mean distance of the vertices, and along each axis of the grid at most: they
 # change its time, not its result.
 RINGS, CELL_SPACINGS, CELLS = 8, 0.8, 127
-CROWDED = 256  # vertices of a cell that are searched; a cell of ordinary garments holds a few, of the largest a hundred
-ASTRAY = 0.02  # share of the vertices at either end of an axis that a garment may have far from all others
+CROWDED = 256  # most vertices of a cell that are searched; ordinary garments have a few, the largest a hundred
+ASTRAY = 0.02  # share of the vertices at either end of an axis that may lie far from all others
 
-FEW = 64  # distinct rows, which are told apart without sorting
+FEW = 64  # most distinct rows that are told apart without sorting
 GOLDEN = 0.6180339887  # its multiples fill [0, 1) evenly
 
 _KEY = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)  # large odd numbers
@@ -27,8 +27,8 @@ class VertexGrid(NamedTuple):
     """Vertices sorted by grid cell."""
 
     vertices: np.ndarray  # (3, V) float32, relative to origin, m
-    index: np.ndarray  # (V,) int32, of each in the mesh
-    grid: Grid  # of the vertices
+    index: np.ndarray  # (V,) int32, number of each vertex in the mesh
+    grid: Grid  # grid of the vertices
 
 
 def vertex_grid(position: np.ndarray, cell: float, most: int) -> VertexGrid:
@@ -63,8 +63,8 @@ def _filled(position: np.ndarray, box: tuple[np.ndarray, np.ndarray], cell: floa
 
 
 def spread_rows(n: int, count: int) -> np.ndarray:
-    """At most ``count`` of n rows, one of each stretch of them, at another place in each: those at equal distances, of an image's
-    points, would lie in a few of its columns."""
+    """At most ``count`` of n rows: one of each stretch, at a varying place in it. Rows at equal distances would, in an image,
+    lie in a few columns."""
     if n <= count:
         return np.arange(n)
     at = np.arange(count)

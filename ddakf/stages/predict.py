@@ -80,7 +80,7 @@ def predict(
     if carried is not None:
         position = position + carried
     q = config.acceleration**2
-    # of n accelerations one after the other, saturating at the longest step so that a long gap stays bounded
+    # Q of n accelerations one after the other; beyond the longest step P_pp alone grows, in proportion to the gap
     part = min(step, config.acceleration_time)
     n = step / part
     noise = q * part**4 * (n**3 / 3 - n / 12) * max(dt, step) / step, q * part**3 * n**2 / 2, q * part**2 * n

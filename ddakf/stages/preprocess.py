@@ -16,11 +16,11 @@ from ddakf.stages import skin_removal
 from ddakf.stages.grid import distinct, spread_rows
 from ddakf.types import Cloud, FrameInput, Problem, Surfels
 
-MAX_CELLS, CELLS_PER_POINT = 2_000_000, 32  # of a grid at most, so that stray points cost neither memory nor time
-# Points of a cell, and neighbours of a plane fit, that are used, over the points that a cell of the garment's surface holds. One
-# camera's clouds reach 8 and 65. A clump of points says no more than these, and its cost would grow with its square.
+MAX_CELLS, CELLS_PER_POINT = 2_000_000, 32  # most cells of a grid: stray points cost neither memory nor time
+# Most points of a cell, and most neighbours of a plane fit, that are used; in units of points_per_cell. One camera's clouds reach
+# 8 and 65. A clump of more points says no more, and its cost would grow with the square of their number.
 CROWDED, NEIGHBOURS = 13.0, 80.0
-SPARSE_RINGS = 8  # cells of the sparse surfels within the widest gate
+SPARSE_RINGS = 8  # search radius in the cells of the sparse surfels
 
 
 class Density(NamedTuple):
@@ -28,8 +28,8 @@ class Density(NamedTuple):
 
     area: float  # of the garment, m^2
     points_per_cell: float
-    widest: float = np.inf  # m: cells of a sparse cloud hold fewer points instead
-    least_per_cell: float = 0.0  # points, however sparse the cloud
+    widest: float = np.inf  # m, widest cell: in a sparse cloud cells hold fewer points instead
+    least_per_cell: float = 0.0  # least points of a cell, however sparse the cloud
 
     def cell(self, count: int) -> float:
         """Metres: cells that hold about so many of ``count`` points.
@@ -144,7 +144,7 @@ def _sample(grid, planes: np.ndarray, stride: int, most: int, oriented: bool) ->
     if min(most, count) == 0:
         return None
     every = -(-count // most)
-    point = np.ascontiguousarray(grid[0][:, :: stride * every].T + grid[3])  # also of one point: no second kernel to compile
+    point = np.ascontiguousarray(grid[0][:, :: stride * every].T + grid[3])  # or another kernel is compiled
     return Sample(point, np.ascontiguousarray(planes[3:, ::every].T, np.float64), oriented)
 
 

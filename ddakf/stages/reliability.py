@@ -16,11 +16,11 @@ from ddakf.stages import skin_removal
 from ddakf.stages.grid import nearest_vertices, spread_rows
 from ddakf.types import Estimate, FrameInput, Health, Measurement, Posterior, Problem, variances
 
-IN_VIEW = 0.7  # share of the vertices that sensors all around see; one camera sees half, and what it should see is less sure
-SHOWN = 0.75  # share of those in view that the cloud shows, at least, where the garment is in its place
-BESIDE = 0.5  # m from the garment's box: points farther away are of the room
-ENOUGH = 100  # points of a frame that can show that a cloud is of the garment alone
-FARTHEST_CELL = 10_000  # of clumps: the number of a cell in three dimensions fits into an int64
+IN_VIEW = 0.7  # share of visible vertices, above which sensors see the garment all around; one camera sees half
+SHOWN = 0.75  # share of the visible vertices that a cloud shows at least, if the garment is in its place
+BESIDE = 0.5  # m from the garment's box, beyond which points are of the room
+ENOUGH = 100  # least number of points that can show that a cloud is of the garment alone
+FARTHEST_CELL = 10_000  # farthest cell of clumps along an axis, so that the number of a cell fits into an int64
 
 
 def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> float:
@@ -119,7 +119,7 @@ def _explains_less(problem: Problem) -> bool:
     """Whether the frame lacks the body's pose or the colours, by which skin and other clothes were told apart in others."""
     last, frame = problem.last, problem.frame
     if frame.body_vertices is None and last.anchor is not None and not np.array_equal(last.body.vertices, last.anchor.bound.pose):
-        return True  # the body has been in other poses than the first one
+        return True  # the body came with earlier frames, as it has left its first pose
     return frame.colors is None and last.palette is not None
 
 
@@ -198,9 +198,9 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
 class Outcome(NamedTuple):
     """A frame as the state of the tracker depends on it."""
 
-    score: float  # of this frame, but for turns that nothing shows; s_k for the paper
+    score: float  # reliability of this frame, without the turns that nothing shows; s_k for the paper
     coverage: float  # share of the vertices observed
-    n_points: int  # in the cloud
+    n_points: int  # number of points of the cloud near the garment
     rejected: bool  # the fit was thrown away
     searchable: bool = True  # the frame has enough points for a search, also of other things than the garment
 
@@ -233,11 +233,11 @@ def advance(health: Health, outcome: Outcome, dt: float, config: Reliability | P
     if rejected or coverage < config.lost_coverage:
         poor_for = health.poor_for + dt
         if poor_for >= config.lost_after or health.state == "lost":
-            # the search begins anew with the loss: what is sought then is more than the last shape
+            # the search begins anew with the loss: then it tries the template too
             return calm._replace(state="lost", poor_for=poor_for, frames_unplaced=unplaced if health.state == "lost" else 0)
         state = "initializing" if health.state == "initializing" else "recovering"
         return worried._replace(state=state, poor_for=poor_for, frames_unplaced=unplaced)
     if score < config.doubt_below:
-        # points are measured, but not where they should be: the garment is looked for, and is not yet lost
+        # vertices are measured, but badly: the garment is searched, and is not yet lost
         return worried._replace(doubtful=True, frames_unplaced=unplaced)
     return worried if score < (config.recovery_above if health.state == "recovering" else config.recovery_below) else calm

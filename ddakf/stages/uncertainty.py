@@ -31,11 +31,11 @@ from ddakf.stages.error_size import PatchEvidence
 from ddakf.stages.fuse import condition, inverse_blocks, invert
 from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
 
-LEAST_TURNED = 16  # seen vertices that show a rigid motion
+LEAST_TURNED = 16  # least number of seen vertices that show a rigid motion
 TINY = 1e-12  # m^2/rad^2, of a point, which no turn moves
-STEADY = np.radians(5.0)  # rad/s: noise turns the estimate of a garment that stands still by less
-MOST_TURNED = 2.0  # rad: beyond, the other side would be as likely
-SHORTEST = 1.0 / 120.0  # s: what is missed between frames that are closer is noise rather than motion
+STEADY = np.radians(5.0)  # rad/s, largest turn that noise gives the estimate of a garment at rest
+MOST_TURNED = 2.0  # rad, largest turn that nothing shows: beyond it the other side would be as likely
+SHORTEST = 1.0 / 120.0  # s, shortest step of frames whose innovations are motion; of closer frames they are noise
 
 
 def posterior(problem: Problem, estimate: Estimate) -> Posterior:
@@ -77,7 +77,7 @@ def _conditioned(problem: Problem, estimate: Estimate) -> State:
     if estimate.rejected or not estimate.observed.any():
         return bound(prior._replace(position=estimate.position), limits)
     covariance = inverse_blocks(estimate.system.D)
-    kernels.replace_indefinite(covariance, prior.P_pp)  # of a mesh torn beyond what its equations can carry
+    kernels.replace_indefinite(covariance, prior.P_pp)  # a torn mesh has equations that cannot be inverted
     return bound(condition(prior, estimate.position, covariance, estimate.evidence.R), limits)
 
 
@@ -184,7 +184,7 @@ class Coupling(NamedTuple):
 
     B: np.ndarray  # (2E, 12) blocks of the coupling, see System
     stored2: float  # m^2, mean variance of the stored blocks
-    on_body: bool  # a body is known that the garment is on
+    on_body: bool  # whether the body is known
 
 
 def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Drift:
@@ -248,7 +248,7 @@ def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tu
     missed = old * drift.missed + (1.0 - old) * evidence.missed / apart2
     per_patch = common + 0.5 * seen * (innovation2 - common)
     moved = 0.5 * (motion2 + _mean(motion2, evidence.size))
-    moved *= max(1.0, 1.0 / (USUAL_RATE * dt))  # steps that follow each other within that time are alike, and add up
+    moved *= max(1.0, 1.0 / (USUAL_RATE * dt))  # successive steps within 1/30 s are alike, so that their errors add up
     grown = limits.missed_share**2 * per_patch + limits.unseen_motion**2 * (1.0 - seen) * moved
     return grown / 3.0 + limits.growth_sd**2, speed2, missed
 
@@ -263,11 +263,11 @@ class Surface(NamedTuple):
 def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, surface: Surface) -> PatchEvidence:
     """The evidence of a frame: ``weight`` (V,) of its measurements, and the posterior ``surface``."""
     model, planes, limits = problem.model, estimate.planes, problem.config.uncertainty
-    # an unseen part moved as is known: with the rigid motion of what is seen, or, with a body to ride on, as it did
+    # where an unseen part is assumed to be: moved rigidly with what is seen, or, on a body, with the body
     still, missed = surface.position, surface.position - problem.prior.position
     if problem.carried is None:
         still = _turned_with(problem.motion_start, surface.position, weight > 0.0)
-    elif problem.last.body.velocity is not None:  # and the body moved on otherwise than it had
+    elif problem.last.body.velocity is not None:  # the body's change of velocity is part of what was missed
         missed = missed + problem.carried - problem.dt * problem.last.body.velocity
     n, ring_strain = len(model.likeness), np.empty(len(weight))
     sums = PatchSums(*map(np.empty, ((n,), (n,), (n, 6), (n, 3), (n, 4), (n, 4), (n,), (n,))))
@@ -277,7 +277,7 @@ def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, surface:
     measured = MeasuredPlanes(weight, planes.normal, planes.variance, isotropic)
     prior = problem.prior.position
     kernels.sum_by_patch(surface.position, still, prior, surface.normal, model.patch, ring_strain, measured, sums)
-    if planes.points is not None and weight.any():  # none are used where the fit was rejected
+    if planes.points is not None and weight.any():  # of a rejected fit none are used
         point_kernels.add_information(model.rings, planes.points, planes.information, model.patch, sums.information)
     kernels.patch_means(sums, limits.plane_persistence, limits.least_bend, means)
     missed = missed[weight > 0.0]

@@ -133,7 +133,7 @@ class Unavailable(ServiceError, status=StatusCode.UNAVAILABLE, http=503, retryab
 
 
 class WorkerLost(ServiceError, status=StatusCode.UNAVAILABLE, http=503, retryable=True):
-    """The worker process of the session died; the session continues from its checkpoint or has to be created again."""
+    """The session's worker process died. Repeat a refused frame or call; after the end of a stream create the session again."""
 
 
 class Draining(ServiceError, status=StatusCode.UNAVAILABLE, http=503, retryable=True):

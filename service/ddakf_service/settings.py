@@ -68,8 +68,10 @@ class Settings(BaseSettings):
     cors_origins: Annotated[tuple[_Origin, ...], NoDecode, BeforeValidator(_split)] = Field(
         (), description="origins of pages that may use the HTTP port, separated by commas; * for any"
     )
-    request_timeout: float = Field(60.0, gt=0, description="seconds for a request to arrive; over HTTP headers and body")
-    keepalive: float = Field(20.0, gt=0, description="seconds between pings of a WebSocket client, and for the pong")
+    request_timeout: float = Field(60.0, gt=0, description="seconds for a request to arrive; over HTTP its headers and body")
+    keepalive: float = Field(
+        20.0, gt=0, description="seconds between pings of a WebSocket client, and within which it must answer"
+    )
     workers: int = Field(
         default_factory=_default_workers,
         ge=1,
@@ -81,38 +83,46 @@ class Settings(BaseSettings):
         "auto", min_length=1, description="Ray cluster of the actors; auto: that of this machine, or of RAY_ADDRESS"
     )
     spare_workers: int = Field(1, ge=0, le=16, description="warm processes in reserve that replace a lost worker at once")
-    recycle_frames: int = Field(0, ge=0, description="frames after which a worker is replaced in order; 0: never")
+    recycle_frames: int = Field(0, ge=0, description="frames after which a spare takes over from a worker; 0: never")
     recycle_memory_bytes: int = Field(
-        6 << 30, ge=0, description="bytes in memory at which a worker is replaced in order; 0: never"
+        6 << 30, ge=0, description="bytes of memory of a worker at which a spare takes over from it; 0: never"
     )
 
-    max_sessions: int = Field(64, ge=1, description="sessions at a time")
-    max_memory_bytes: int = Field(4 << 30, ge=1 << 20, description="estimated bytes of the sessions of one worker")
+    max_sessions: int = Field(64, ge=1, description="largest number of live sessions")
+    max_memory_bytes: int = Field(
+        4 << 30, ge=1 << 20, description="largest estimated memory of the sessions of one worker, bytes"
+    )
     max_message_bytes: int = Field(64 << 20, ge=1 << 16, le=1 << 30, description="largest request, bytes")
-    max_points: int = Field(500_000, ge=1, description="points in one frame")
-    max_image_pixels: int = Field(1 << 21, ge=1, le=1 << 26, description="pixels of a depth image")
-    max_vertices: int = Field(100_000, ge=3, description="vertices of a garment")
-    max_faces: int = Field(300_000, ge=1, description="triangles of a garment or body")
-    max_body_vertices: int = Field(100_000, ge=3, description="vertices of a body")
+    max_points: int = Field(500_000, ge=1, description="largest number of points in one frame")
+    max_image_pixels: int = Field(1 << 21, ge=1, le=1 << 26, description="largest number of pixels of a depth image")
+    max_vertices: int = Field(100_000, ge=3, description="largest number of vertices of a garment")
+    max_faces: int = Field(300_000, ge=1, description="largest number of triangles of a garment or body")
+    max_body_vertices: int = Field(100_000, ge=3, description="largest number of vertices of a body")
 
     default_flow: Literal["realtime", "lossless"] = Field(
         "realtime", description="default flow mode: realtime drops old frames, lossless tracks all"
     )
-    lossless_queue: int = Field(8, ge=1, le=1024, description="queued frames of a lossless session before reading stops")
-    max_watchers: int = Field(16, ge=0, le=1024, description="watchers per session")
-    max_frame_rate: float = Field(0.0, ge=0, description="frames per second of a session; 0: not limited")
+    lossless_queue: int = Field(
+        8, ge=1, le=1024, description="frames of a lossless session that may wait before the server stops reading"
+    )
+    max_watchers: int = Field(16, ge=0, le=1024, description="largest number of watchers per session")
+    max_frame_rate: float = Field(0.0, ge=0, description="largest frame rate of a session, frames per second; 0: not limited")
     idle_timeout: float = Field(300.0, gt=0, description="seconds without frames or calls on the tracker that end a session")
     departure_timeout: float = Field(
         60.0, gt=0, description="seconds that a session waits for its client after its stream ends; at most idle_timeout"
     )
     max_lifetime: float = Field(0.0, ge=0, description="seconds from the creation to the end of a session; 0: not limited")
-    reader_timeout: float = Field(30.0, gt=0, description="seconds unread that end a stream, a watcher or an answer of HTTP")
+    reader_timeout: float = Field(
+        30.0, gt=0, description="seconds without reading after which a client's stream, watch or HTTP answer ends"
+    )
     frame_timeout: float = Field(30.0, gt=0, description="seconds per frame before its worker counts as hung and is replaced")
     frame_limit: float = Field(
-        0.5, gt=0, description="processor seconds per frame, and as many for every 20,000 vertices and 100,000 points of it"
+        0.5,
+        gt=0,
+        description="largest processor time of a frame: so many seconds x (1 + vertices / 20,000 + points / 100,000)",
     )
     costly_slow_after: int = Field(
-        3, ge=1, description="frames beyond frame_limit after which a session may have one per second; 100 within it undo one"
+        3, ge=1, description="frames beyond frame_limit after which a session may send one per second; 100 within it undo one"
     )
     costly_isolate_after: int = Field(
         6, ge=1, description="frames beyond frame_limit after which a session moves to a worker of low priority"
@@ -121,7 +131,7 @@ class Settings(BaseSettings):
     warm_timeout: float = Field(900.0, gt=0, description="seconds for a worker to compile and to track its first frame")
     drain_grace: float = Field(5.0, ge=0, description="seconds for clients to leave after the notice of a shutdown")
     successor: Annotated[str, AfterValidator(_successor)] = Field(
-        "", description="host:port for clients to connect to after a shutdown; empty: this server"
+        "", description="address, host:port, to which clients connect after a shutdown; empty: this server"
     )
 
     data_dir: str = Field(
@@ -145,9 +155,9 @@ class Settings(BaseSettings):
         5.0, ge=1, le=600, description="seconds after which other servers may take the sessions of one that has vanished"
     )
     gateway_address: Annotated[str, AfterValidator(_successor)] = Field(
-        "", description="host:port of this server for clients of others that share sessions; empty: all use one load balancer"
+        "", description="address, host:port, by which other gateways send clients here; empty: all use one load balancer"
     )
-    history_days: float = Field(30.0, gt=0, description="retention of history and of ended sessions, days")
+    history_days: float = Field(30.0, gt=0, description="days for which history and ended sessions are kept")
     server_id: str = Field(
         default_factory=socket.gethostname,
         min_length=1,
@@ -157,13 +167,17 @@ class Settings(BaseSettings):
 
     allow_anonymous: bool = Field(False, description="calls without a key are allowed also on addresses other than loopback")
     require_keys: bool = Field(False, description="calls need a key also on loopback, for a proxy on the same machine")
-    max_sessions_per_key: int = Field(16, ge=1, description="sessions at a time of a key without a quota of its own")
-    max_streams_per_key: int = Field(64, ge=1, description="streams and watchers of a key at a time")
-    max_meshes_per_key: int = Field(64, ge=0, description="uploaded meshes of a key, or of all callers without one")
-    max_mesh_bytes_per_key: int = Field(256 << 20, ge=0, description="bytes of the uploaded meshes of a key")
+    max_sessions_per_key: int = Field(16, ge=1, description="largest number of live sessions of a key without a quota of its own")
+    max_streams_per_key: int = Field(64, ge=1, description="largest number of open streams and watchers of a key")
+    max_meshes_per_key: int = Field(
+        64, ge=0, description="largest number of uploaded meshes of a key, or of all callers without one"
+    )
+    max_mesh_bytes_per_key: int = Field(256 << 20, ge=0, description="largest size of the uploaded meshes of a key, bytes")
     tls_certificate: str = Field("", description="PEM file with the certificate chain; empty: no encryption")
-    tls_key: str = Field("", description="PEM file with its private key")
-    tls_client_ca: str = Field("", description="PEM file with authorities: clients need a certificate signed by one")
+    tls_key: str = Field("", description="PEM file with the private key of the certificate")
+    tls_client_ca: str = Field(
+        "", description="PEM file with authorities, one of which must have signed the certificate of every client"
+    )
 
     recording: Annotated[str, AfterValidator(_recording)] = Field(
         "", description="recording (.mcap) or result of `ddakf track --out` (.npz) that the dashboard shows; empty: none"

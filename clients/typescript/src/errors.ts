@@ -159,7 +159,7 @@ export class Unavailable extends ServiceError {
   static override readonly retryable: boolean = true;
 }
 
-/** The worker process of the session died; the session continues from its checkpoint or has to be created again. */
+/** The session's worker process died. Repeat a refused frame or call; after the end of a stream create the session again. */
 export class WorkerLost extends ServiceError {
   static override readonly wireName: string = "WorkerLost";
   static override readonly httpStatus: number = 503;

@@ -32,10 +32,10 @@ def register(commands: argparse._SubParsersAction) -> None:
 
 def add_record_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of :func:`record`."""
-    parser.add_argument("id", help="of the session, as `ddakf sessions list` shows it")
-    parser.add_argument("file", metavar="FILE.mcap", help="is replaced; Foxglove opens it")
-    parser.add_argument("--seconds", type=float, default=math.inf, metavar="S", help="at most so long")
-    parser.add_argument("--frames", type=int, default=math.inf, metavar="N", help="at most so many frames")
+    parser.add_argument("id", help="id of the session, as `ddakf sessions list` shows it")
+    parser.add_argument("file", metavar="FILE.mcap", help="recording to write, replaced if it exists; Foxglove opens it")
+    parser.add_argument("--seconds", type=float, default=math.inf, metavar="S", help="stop after this many seconds")
+    parser.add_argument("--frames", type=int, default=math.inf, metavar="N", help="stop after this many frames")
 
 
 def add_replay_arguments(parser: argparse.ArgumentParser) -> None:

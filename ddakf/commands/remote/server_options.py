@@ -12,10 +12,10 @@ KEY_VARIABLE = "DDAKF_API_KEY"
 
 _OPTIONS = {
     "--server": ("HOST:PORT", "gRPC address, or several of servers that share their sessions, with commas between them"),
-    "--api-key": ("KEY", f"default: the environment variable {KEY_VARIABLE}"),
+    "--api-key": ("KEY", f"API key (default: the environment variable {KEY_VARIABLE})"),
     "--tls-ca": ("FILE", f"PEM file with the authorities of the server's certificate; {SYSTEM}: those that gRPC brings"),
     "--tls-certificate": ("FILE", "PEM file with a certificate of the client, where the server asks for one"),
-    "--tls-key": ("FILE", "PEM file with its private key"),
+    "--tls-key": ("FILE", "PEM file with the private key of that certificate"),
 }
 
 

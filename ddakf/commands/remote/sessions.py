@@ -30,16 +30,18 @@ def register(commands: argparse._SubParsersAction) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = _add(actions, "list", _list, "show all sessions that the key may read")
     listing.add_argument("--state", metavar="STATE", help="only sessions in this state: tracking, idle, lost, ...")
-    listing.add_argument("--label", action="append", default=[], metavar="KEY=VALUE", help="only sessions with it; repeatable")
+    listing.add_argument(
+        "--label", action="append", default=[], metavar="KEY=VALUE", help="only sessions with this label; repeatable"
+    )
     _add(actions, "get", _get, "show one session").add_argument("id")
     watching = _add(actions, "watch", _watch, "a line per second of a session's results, until Ctrl-C")
     watching.add_argument("id")
     _add(actions, "delete", _delete, "end sessions").add_argument("id", nargs="+")
     history = _add(actions, "history", _history, "reliability, latency and state over time, of a live or an ended session")
     history.add_argument("id")
-    history.add_argument("--start", metavar="TIME", help="ISO 8601; default: the session's creation")
-    history.add_argument("--end", metavar="TIME", help="ISO 8601; default: now, or the session's end")
-    history.add_argument("--samples", type=int, default=_SHOWN_SAMPLES, metavar="N", help="at most so many lines (default 40)")
+    history.add_argument("--start", metavar="TIME", help="first time, ISO 8601 (default: the session's creation)")
+    history.add_argument("--end", metavar="TIME", help="last time, ISO 8601 (default: now, or the session's end)")
+    history.add_argument("--samples", type=int, default=_SHOWN_SAMPLES, metavar="N", help="at most this many lines (default 40)")
     recordings.add_record_arguments(_add(actions, "record", recordings.record, recordings.RECORD))
     recordings.add_replay_arguments(_add(actions, "replay", recordings.replay, recordings.REPLAY))
 

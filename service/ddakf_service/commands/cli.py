@@ -53,7 +53,7 @@ def register_keys(subparsers: argparse._SubParsersAction) -> None:
     _add_folder_options(parser, _DATABASE, default=None)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     create = actions.add_parser("create", help="make a key and print it, once")
-    create.add_argument("name", help="holder or purpose")
+    create.add_argument("name", help="name of the key: its holder or purpose")
     create.add_argument(
         "--scope",
         action="append",
@@ -61,25 +61,37 @@ def register_keys(subparsers: argparse._SubParsersAction) -> None:
         required=True,
         help="stream: the key's own sessions; read: all sessions and the metrics; admin: everything; may be repeated",
     )
-    create.add_argument("--max-sessions", type=int, default=0, metavar="N", help="at a time; default: the service's setting")
-    create.add_argument("--expires", metavar="30d|TIME", help="a number of m, h, d or w, or a time (ISO 8601); default: never")
+    create.add_argument(
+        "--max-sessions",
+        type=int,
+        default=0,
+        metavar="N",
+        help="largest number of live sessions of the key (default: the service's setting)",
+    )
+    create.add_argument(
+        "--expires", metavar="30d|TIME", help="expiry: a number of m, h, d or w from now, or a time, ISO 8601 (default: never)"
+    )
     create.add_argument(
         "--frames-per-second",
         type=float,
         default=0.0,
         metavar="N",
-        help="of all its streams together; default: not limited",
+        help="largest frame rate of all its streams together (default: not limited)",
     )
     create.add_argument(
-        "--requests-per-minute", type=float, default=0.0, metavar="N", help="calls and streams; default: not limited"
+        "--requests-per-minute",
+        type=float,
+        default=0.0,
+        metavar="N",
+        help="largest number of calls and new streams per minute (default: not limited)",
     )
     create.add_argument(
         "--file", type=Path, metavar="FILE", help="write the key there, for its group to read, unless it holds one in force"
     )
     listing = actions.add_parser("list", help="show all keys, without their secrets")
-    listing.add_argument("--json", action="store_true", help="as a JSON list")
+    listing.add_argument("--json", action="store_true", help="print a JSON list")
     revoke = actions.add_parser("revoke", help="end a key")
-    revoke.add_argument("id", help="as `list` shows it")
+    revoke.add_argument("id", help="id of the key, as `list` shows it")
     for action in (create, listing, revoke):  # on either side of the action; without a default, which would replace the value
         _add_folder_options(action.add_argument_group("database"), _DATABASE, default=argparse.SUPPRESS)
     parser.set_defaults(run=later("keys", "run"))
@@ -107,5 +119,5 @@ def register_demo(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--view", choices=("front", "ring4", "full"), default="front", help="view of the sensor")
     parser.add_argument("--keep", action="store_true", help="leave the service running")
     parser.add_argument("--export", type=Path, metavar="DIR", help="only write the sample as OBJ, PLY and JSON files")
-    parser.add_argument("--json", action="store_true", help="the table as JSON")
+    parser.add_argument("--json", action="store_true", help="print the table as JSON")
     parser.set_defaults(run=later("demo", "demonstrate"))
