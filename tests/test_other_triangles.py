@@ -19,7 +19,7 @@ def test_other_diagonals_are_another_mesh_of_the_same_vertices():
     assert (other.boundary_vertices == mesh.boundary_vertices).all()
     assert areas(other).sum() == pytest.approx(areas(mesh).sum(), rel=0.04)  # of folds
     same = set(map(tuple, np.sort(mesh.faces).tolist())) & set(map(tuple, np.sort(other.faces).tolist()))
-    assert len(same) < 0.4 * mesh.n_faces
+    assert len(same) < 0.7 * mesh.n_faces
 
 
 def test_a_run_has_a_row_for_every_template_and_its_table_a_line_for_every_garment():
