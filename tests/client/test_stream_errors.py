@@ -1,5 +1,6 @@
 """Stream errors: failures of frames, source and server raise specific errors, never a hang."""
 
+import itertools
 import threading
 
 import numpy as np
@@ -111,6 +112,36 @@ def test_an_error_of_the_source_reaches_the_caller_unchanged(service, mesh, fram
             list(session.track(source(), on_error=on_error, timeout=3))
         assert raised.value is error
     assert service.sessions == {}
+
+
+def test_frames_before_an_error_of_the_source_are_answered_first(service, mesh, frames):
+    service.delay, seen = 0.02, []
+
+    def source():
+        yield from frames(10)
+        raise OSError("unplugged")
+
+    with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        with pytest.raises(OSError, match="unplugged"):
+            seen.extend(answer.sequence for answer in session.track(source()))
+        assert seen == list(range(1, 11))
+        assert session.info().applied == 10
+
+
+def test_frames_before_an_error_of_the_source_survive_a_lost_connection(outage, mesh, frames):
+    outage.service.delay, seen = 0.02, []
+
+    def source():
+        yield from frames(20)
+        raise OSError("unplugged")
+
+    with connect(outage.target) as client:
+        stream = client.create_session(*mesh, flow="lossless").track(source(), on_notice=lambda _: None)
+        seen.extend(answer.sequence for answer in itertools.islice(stream, 15))
+        outage.strike()
+        with pytest.raises(OSError, match="unplugged"):
+            seen.extend(answer.sequence for answer in stream)
+    assert seen == list(range(1, 21))
 
 
 def test_all_frames_refused_in_realtime_do_not_stop_the_stream(service, mesh, frames):

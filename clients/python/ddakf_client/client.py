@@ -368,7 +368,7 @@ class Session:
         """Streams frames and yields their results in order, until every frame has an answer.
 
         A separate thread pulls the frames, so that `frames` may wait for a camera. In lossless mode it pulls them only as
-        fast as the server tracks them.
+        fast as the server tracks them. An error of `frames` is raised once the frames before it have their answers.
 
         Args:
             frames: :class:`Frame` objects, tuples in the order of its fields, or objects with its attributes.

@@ -158,13 +158,14 @@ class Exchange:
         started: the server has opened the stream.
         lost: the connection is lost and not yet replaced.
         exhausted: no more frames will be offered.
-        failure: error that ends the stream early and is raised to the caller.
+        failure: error that is raised to the caller, the first one: of the source, or one that ends the stream early.
     """
 
     def __init__(self, plan: Plan, now: float):
         self.plan = plan
         self.started = self.exhausted = self.lost = False
         self.failure: BaseException | None = None
+        self._ends_early = False  # nothing more is sent
         self._lossless = plan.flow == "lossless"
         self._in_flight = IN_FLIGHT
         self._next_sequence = 1
@@ -199,6 +200,14 @@ class Exchange:
         self._slot = Offered(self._next_sequence, frame, now)
         self._next_sequence += 1
 
+    def exhaust(self, error: BaseException | None = None) -> None:
+        """Notes that no more frames come. An error of their source is raised once the frames before it have their answers."""
+        self.exhausted, self.failure = True, self.failure or error
+
+    def fail(self, error: BaseException) -> None:
+        """Ends the stream early."""
+        self.failure, self._ends_early = self.failure or error, True
+
     def can_take(self) -> bool:
         waiting = len(self._waiting())
         return self.started and bool(self._slot or self._resend) and waiting < self._in_flight
@@ -214,7 +223,7 @@ class Exchange:
 
     def is_done(self) -> bool:
         """Whether nothing more will be sent."""
-        return self.failure is not None or (self.exhausted and self._slot is None and not self._resend and not self.lost)
+        return self._ends_early or (self.exhausted and self._slot is None and not self._resend and not self.lost)
 
     def finish(self, now: float) -> None:
         """Marks the end of the requests as sent: the server owes the end of the stream."""
@@ -230,7 +239,7 @@ class Exchange:
             return None  # the connection was lost meanwhile: it will be tried again
         error.sequence = offered.sequence
         if self.plan.on_error == "raise":
-            self.failure = self.failure or error
+            self.fail(error)
             return None
         self._refused.append(FrameError(offered.sequence, time_of(offered.frame), error))
         return pb.TrackRequest(ping=pb.Ping()) if offered.sequence < self._first_waiting() else None
@@ -275,7 +284,7 @@ class Exchange:
         """The last answers after the server has ended the stream without an error.
 
         Raises:
-            ServiceError: a frame was refused and the plan requires an error.
+            ServiceError: a frame was refused and the plan requires an error. An error of the source is raised as it is.
             Unavailable: a frame has no answer.
         """
         if self.failure:
@@ -300,7 +309,7 @@ class Exchange:
         Args:
             untried: number of addresses at which a stream that has never been open may still be opened.
         """
-        if self.failure or type(error) not in (Unavailable, Draining):
+        if self._ends_early or type(error) not in (Unavailable, Draining):
             return False
         if not (self.started or self.lost):
             return untried > 0
@@ -411,7 +420,7 @@ class Exchange:
             oldest = refused.sequence - 2 * IN_FLIGHT
             self._unanswered = {other: sent for other, sent in self._unanswered.items() if other > oldest}
         if self.plan.on_error == "raise":
-            self.failure = self.failure or refused.error
+            self.fail(refused.error)
             return []
         return [*self.refused(refused.sequence), refused]
 
