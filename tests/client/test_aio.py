@@ -81,6 +81,15 @@ async def test_errors_of_frames_and_of_the_server(service, mesh, frames):
             await collected(session.track(frames(3)))
 
 
+async def test_a_frame_above_the_limit_is_refused_and_the_stream_goes_on(service, mesh, frames):
+    service.max_message_bytes, made = 100_000, frames(4)
+    made[2] = (np.random.default_rng(0).uniform(-1, 1, (20_000, 3)), 1.0)
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless", codec="raw") as session:
+        answers = await collected(session.track(made, on_error="yield"))
+    assert [type(answer).__name__ for answer in answers] == ["Result", "Result", "FrameError", "Result"]
+    assert type(answers[2].error) is errors.MessageTooLarge
+
+
 async def test_a_frame_that_cannot_be_sent_is_refused_although_no_other_frame_comes(service, mesh, frames):
     told = [asyncio.Event() for _ in range(4)]
 

@@ -181,11 +181,36 @@ def test_a_stream_that_ends_early_is_an_error(service, mesh, frames, flow):
         list(session.track(frames(9)))
 
 
-def test_a_message_above_the_limit_is_an_error_not_a_hang(service, mesh):
-    large = [Frame(np.random.default_rng(0).uniform(-1, 1, (400_000, 3)), 0.0)]
+LARGE = np.random.default_rng(0).uniform(-1, 1, (20_000, 3))
+DEPTH = {"depth": np.ones((200, 200), np.float32), "intrinsics": (200, 200, 100, 100)}
+
+
+@pytest.mark.parametrize("limit_of", ["client", "server"])
+@pytest.mark.parametrize("large", [Frame(LARGE, 1.0), Frame(timestamp=1.0, **DEPTH)], ids=["points", "depth"])
+def test_a_frame_above_the_limit_is_refused_and_the_stream_goes_on(service, mesh, frames, large, limit_of):
+    limits = {"max_message_bytes": 100_000} if limit_of == "client" else {}
+    service.max_message_bytes = 0 if limits else 100_000
+    service.delay, made, seen = 0.02, frames(6), []
+    made[4] = large
+    options = {"codec": "raw", "depth_codec": "none"}
+    with connect(service.target, **limits) as client, client.create_session(*mesh, flow="lossless") as session:
+        answers = list(session.track(made, on_error="yield", **options))
+        with pytest.raises(errors.MessageTooLarge, match="expected a message of at most 100000 bytes") as refusal:
+            seen.extend(answer.sequence for answer in session.track(made, **options))
+    assert [type(answer).__name__ for answer in answers] == ["Result"] * 4 + ["FrameError", "Result"]
+    assert type(answers[4].error) is errors.MessageTooLarge
+    assert seen == [7, 8, 9, 10]
+    assert refusal.value.sequence == 11
+    assert refusal.value.field == ("points" if large.depth is None else "depth")
+    assert not refusal.value.retryable
+
+
+def test_a_request_above_the_limit_is_not_worth_a_retry(service, mesh):
+    vertices = np.zeros((20_000, 3))
     with (
-        connect(service.target, max_message_bytes=1 << 20) as client,
-        client.create_session(*mesh, codec="raw") as session,
-        pytest.raises(errors.ResourceExhausted),
+        connect(service.target, max_message_bytes=100_000) as client,
+        pytest.raises(errors.MessageTooLarge, match="larger than max") as refusal,
     ):
-        list(session.track(large))
+        client.create_session(vertices, mesh[1])
+    assert not refusal.value.retryable
+    assert (refusal.value.expected, refusal.value.got.endswith(" bytes")) == ("at most 100000 bytes", True)

@@ -130,6 +130,11 @@ def checked_server(message: pb.ServerInfo) -> ServerInfo:
     return server_info_from(message)
 
 
+def message_limit(of_client: int, server: ServerInfo) -> float:
+    """Largest request in bytes: the smaller limit of both sides. One that is not above 0 is none."""
+    return min((limit for limit in (of_client, server.max_message_bytes) if limit > 0), default=math.inf)
+
+
 def require_codec(codec: str, server: ServerInfo) -> None:
     """Raises :class:`CodecError` unless the server supports the codec."""
     if codec not in server.codecs:

@@ -21,7 +21,15 @@ from typing import Any, NamedTuple, TypedDict
 
 from ddakf_api import API_VERSION
 from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_DEPTH_CODEC, DEFAULT_STEP, DEPTH_CODECS
-from ddakf_api.errors import DeadlineExceeded, Draining, InvalidArgument, InvalidFrame, ServiceError, Unavailable
+from ddakf_api.errors import (
+    DeadlineExceeded,
+    Draining,
+    InvalidArgument,
+    InvalidFrame,
+    MessageTooLarge,
+    ServiceError,
+    Unavailable,
+)
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.calls import require_every_nth, require_handler, require_step, require_timeout
@@ -72,6 +80,9 @@ class TrackOptions(TypedDict, total=False):
 class Plan:
     """Options of a stream; :meth:`ddakf_client.Session.track` describes the fields.
 
+    Attributes:
+        max_message_bytes: largest request that this client sends and the server accepts.
+
     Raises:
         InvalidArgument: an option has an invalid value.
     """
@@ -90,6 +101,7 @@ class Plan:
     compact: bool = False
     every_nth: int = 1
     resume: float = RESUME
+    max_message_bytes: float = math.inf
 
     def __post_init__(self) -> None:
         for field, allowed in (("flow", FLOWS), ("codec", CODECS), ("on_error", ON_ERROR), ("depth_codec", DEPTH_CODECS)):
@@ -447,7 +459,12 @@ def encode_request(offered: Offered, plan: Plan) -> pb.TrackRequest:
     """
     try:
         message = to_message(Frame.of(offered.frame), offered.sequence, plan.codec, plan.step, plan.depth_codec)
-        return pb.TrackRequest(frame=message)
+        request = pb.TrackRequest(frame=message)
+        if (size := request.ByteSize()) > plan.max_message_bytes:  # it would end the stream, and with it earlier answers
+            field = "depth" if message.HasField("depth_image") else "points"
+            expected = f"a message of at most {plan.max_message_bytes} bytes"
+            raise MessageTooLarge(field=field, expected=expected, got=f"{size} bytes")
+        return request
     except ServiceError:
         raise
     except Exception as error:  # an error inside the iterator of gRPC ends the stream without a reason
