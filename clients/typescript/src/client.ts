@@ -239,6 +239,11 @@ export class Client implements Host {
 
   /** @internal */
   get others(): number {
+  /** @internal */
+  get maxMessageBytes(): number {
+    return Number(this.server.maxMessageBytes);
+  }
+
     return this.rest.others;
   }
 

@@ -1,7 +1,7 @@
 /** Sessions and streams, with a running service. */
 import { afterAll, afterEach, beforeAll, beforeEach, describe, expect, test, vi } from "vitest";
 import { Client, FrameError, Result, connect, decodeCloud, messages } from "../dist/index.js";
-import type { Mesh, Notice, PointFrame, Session } from "../dist/index.js";
+import type { Frame, Mesh, Notice, PointFrame, Session } from "../dist/index.js";
 import * as errors from "../dist/errors.js";
 import { Proxy } from "./proxy.js";
 import { camera, collected, makeSheet, pause, sample, sheetFrame, sheetFrames } from "./scenes.js";
@@ -250,6 +250,49 @@ describe("errors have the server's names", () => {
     await session.delete();
     await expect(collected(session.track(sheetFrames(sheet, 1)))).rejects.toThrow(errors.SessionNotFound);
     await expect(collected(session.watch())).rejects.toThrow(errors.SessionNotFound);
+  });
+
+  test("of the caller's own iterator is thrown once the frames before it have their answers", async () => {
+    const frames = (function* () {
+      yield* sheetFrames(sheet, 20);
+      throw new RangeError("the camera is gone");
+    })();
+    const seen: number[] = [];
+    const tracking = async () => {
+      for await (const answer of session.track(frames, { flow: "lossless" })) seen.push(answer.sequence);
+    };
+    await expect(tracking()).rejects.toThrow(new RangeError("the camera is gone"));
+    expect(seen).toEqual(Array.from({ length: 20 }, (_, i) => i + 1));
+  });
+
+  test("above the limit of the server is not sent, and the stream goes on", async () => {
+    const limited = await Service.start(["--max-message-bytes", "100000"]);
+    const other = await connect(limited.http);
+    try {
+      const tracked = await other.createSession(sheet);
+      const [width, height] = [200, 200];
+      const depth = { depth: new Float32Array(width * height).fill(1), width, height, intrinsics: [200, 200, 100, 100] };
+      const large: Record<string, Frame> = {
+        points: { points: new Float32Array(60_000), timestamp: 0.3 },
+        depth: { ...depth, timestamp: 0.3 },
+      };
+      const options = { flow: "lossless", codec: "raw", depthCodec: "none" } as const;
+      for (const [field, frame] of Object.entries(large)) {
+        await tracked.reset();
+        const frames = [...sheetFrames(sheet, 6), frame, sheetFrame(sheet, 12)];
+        const answers = await collected(tracked.track(frames, { ...options, onError: "yield" }));
+        expect(answers.map((answer) => answer instanceof FrameError)).toEqual([...Array<boolean>(6).fill(false), true, false]);
+        const { error } = answers[6] as FrameError;
+        expect(error).toBeInstanceOf(errors.MessageTooLarge);
+        expect(error).toMatchObject({ field, expected: "a message of at most 100000 bytes" });
+      }
+      await tracked.reset();
+      const thrown = collected(tracked.track([large["points"]!], options));
+      await expect(thrown).rejects.toThrow(errors.MessageTooLarge);
+    } finally {
+      other.close();
+      await limited.stop();
+    }
   });
 
   test("a session with another stream, which may be taken over", async () => {
