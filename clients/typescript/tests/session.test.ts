@@ -202,6 +202,15 @@ describe("a refused frame", () => {
     "no time": [{ points: new Float32Array(), timestamp: "now" }, "timestamp: expected a finite number of seconds, got string"],
     "a time that does not rise": [{ points: new Float32Array(), timestamp: 0 }, "capture_time"],
     "both kinds": [{ points: new Float32Array(), depth: new Float32Array(), timestamp: 1 }, "got both"],
+    ...Object.fromEntries(
+      ["mask", "confidence", "pose", "intrinsics"].map((name) => [
+        `points with ${name}`,
+        [
+          { points: new Float32Array(), timestamp: 1, [name]: new Uint8Array(12) },
+          `${name}: expected none beside points, got Uint8Array`,
+        ],
+      ]),
+    ),
     "a body of another size": [{ points: new Float32Array(), bodyVertices: new Float32Array(4), timestamp: 1 }, "bodyVertices"],
     "an image without a camera": [{ depth: new Float32Array(1), width: 1, height: 1, timestamp: 1 }, "intrinsics: expected 4"],
     "a pose by columns": [
