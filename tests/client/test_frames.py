@@ -10,6 +10,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame
 from ddakf_client.exchange import Plan
 from ddakf_client.frames import held, to_message
+from ddakf_client.watch import watch_request
 
 DEPTH = np.arange(12, dtype=np.uint16).reshape(3, 4)
 LENS = (100.0, 101.0, 1.5, 1.0)
@@ -198,6 +199,18 @@ def test_a_plan_with_unknown_options_is_refused(change):
     with pytest.raises(InvalidArgument) as refusal:
         Plan("sessions/a", 10.0, **change)
     assert refusal.value.field == next(iter(change))
+
+
+@pytest.mark.parametrize("number", [np.int64, np.uint8, np.float32, np.float64])
+def test_a_plan_takes_numbers_of_numpy(number):
+    whole = number if np.issubdtype(number, np.integer) else np.int32
+    plan = Plan("sessions/a", number(5), step=number(1), resume=number(3), every_nth=whole(2), velocities=np.bool_(True))
+    given = plan.timeout, plan.step, plan.resume, plan.every_nth, plan.velocities
+    assert given == (5, 1, 3, 2, True)
+    assert not any(isinstance(value, np.generic) for value in given)
+    options = plan.start().start.result_options
+    assert (options.every_nth, options.include_velocities) == (2, True)
+    assert watch_request("sessions/a", whole(2)).every_nth == 2
 
 
 def test_a_plan_asks_for_compact_results_and_every_nth():

@@ -97,7 +97,7 @@ class AsyncClient:
         api_key: str | None,
         max_message_bytes: int,
     ):
-        self._open_channel, self._targets, self.timeout = open_channel, targets, timeout
+        self._open_channel, self._targets, self.timeout = open_channel, targets, calls.plain(timeout)
         self._max_message_bytes = max_message_bytes
         self._addresses = tuple(targets)  # with that of the last redirection
         self._channels: dict[str, grpc.aio.Channel] = {}  # by target

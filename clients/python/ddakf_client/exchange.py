@@ -32,7 +32,7 @@ from ddakf_api.errors import (
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from ddakf_client.calls import require_every_nth, require_handler, require_step, require_timeout
+from ddakf_client.calls import plain, require_every_nth, require_handler, require_step, require_timeout
 from ddakf_client.frames import Frame, time_of, to_message
 from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
 
@@ -104,6 +104,8 @@ class Plan:
     max_message_bytes: float = math.inf
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            object.__setattr__(self, name, plain(value))
         for field, allowed in (("flow", FLOWS), ("codec", CODECS), ("on_error", ON_ERROR), ("depth_codec", DEPTH_CODECS)):
             value = getattr(self, field)
             if not isinstance(value, str) or value not in allowed:
