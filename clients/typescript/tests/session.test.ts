@@ -251,15 +251,6 @@ describe("a refused frame", () => {
     })();
     await expect(collected(session.track(frames))).rejects.toThrow(new RangeError("the camera is gone"));
   });
-});
-
-describe("errors have the server's names", () => {
-  test("a session that does not exist", async () => {
-    await expect(client.openSession("nobody-here")).rejects.toThrow(errors.SessionNotFound);
-    await session.delete();
-    await expect(collected(session.track(sheetFrames(sheet, 1)))).rejects.toThrow(errors.SessionNotFound);
-    await expect(collected(session.watch())).rejects.toThrow(errors.SessionNotFound);
-  });
 
   test("of the caller's own iterator is thrown once the frames before it have their answers", async () => {
     const frames = (function* () {
@@ -303,6 +294,19 @@ describe("errors have the server's names", () => {
       await limited.stop();
     }
   });
+});
+
+describe("errors have the server's names", () => {
+  test("a session that does not exist", async () => {
+    for (const id of ["nobody-here", "", "a/b", "..", "sessions/", "a?b"]) {
+      await expect(client.openSession(id)).rejects.toThrow(errors.SessionNotFound);
+      await expect(client.history(id)).rejects.toThrow(errors.SessionNotFound);
+    }
+    await expect(client.openSession(5 as never)).rejects.toThrow("sessionId: expected text, got number");
+    await session.delete();
+    await expect(collected(session.track(sheetFrames(sheet, 1)))).rejects.toThrow(errors.SessionNotFound);
+    await expect(collected(session.watch())).rejects.toThrow(errors.SessionNotFound);
+  });
 
   test("a session with another stream, which may be taken over", async () => {
     const first = session.track(camera(sheetFrames(sheet, 1000), 0.02), { flow: "lossless" });
@@ -345,6 +349,20 @@ describe("errors have the server's names", () => {
     const cleaned = await client.createSession({ ...sheet, faces }, { clean: true });
     expect(cleaned.vertexMap).toEqual(Uint32Array.from({ length: 144 }, (_, i) => i));
     await cleaned.delete();
+  });
+
+  test("a client that was closed", async () => {
+    const closed = await connect(service.http);
+    const opened = await closed.openSession(session.sessionId);
+    closed.close();
+    for (const call of [
+      () => closed.serverInfo(),
+      () => closed.createSession(sheet),
+      () => opened.info(),
+      () => collected(opened.track(sheetFrames(sheet, 1))),
+      () => collected(opened.watch()),
+    ])
+      await expect(call()).rejects.toThrow(new errors.FailedPrecondition("the client is closed"));
   });
 
   test("a server that is not there", async () => {
