@@ -44,8 +44,11 @@ def checked_array(
         error: class of the raised error.
 
     Raises:
-        InvalidArgument: the argument cannot be converted (rows of unequal lengths), or has another shape or type.
+        InvalidArgument: the argument cannot be converted (rows of unequal lengths), has another shape or type, or is a masked
+            array, whose mask the conversion would drop.
     """
+    if isinstance(values, np.ma.MaskedArray):
+        raise error(field=field, expected=f"{expected}, without a mask of NumPy", got="a masked array")
     try:
         array = np.asarray(values)
     except Exception as cause:  # of NumPy or of the object's own conversion

@@ -6,6 +6,7 @@ of a ``FrameError`` inside a stream, and as JSON with the same fields over HTTP.
 
 from __future__ import annotations
 
+import re
 from typing import ClassVar
 
 import grpc
@@ -15,6 +16,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 ERROR_METADATA_KEY = "ddakf-error-bin"
 _LONGEST_TEXT = 4000  # characters of each text of an error
+_GRPC_TOO_LARGE = re.compile(r"larger than max \((\d+) vs\. (\d+)\)")  # in the text of gRPC on either side
 
 ERRORS: dict[str, type[ServiceError]] = {}
 """Error classes by wire name, in the order of this file. The first class of a gRPC code is the default for that code."""
@@ -212,7 +214,11 @@ def from_rpc_error(error: grpc.RpcError) -> ServiceError:
         if key == ERROR_METADATA_KEY:
             return from_detail(pb.ErrorDetail.FromString(value))
     cls = next((cls for cls in ERRORS.values() if cls.status is error.code()), Internal)
-    return cls(error.details() or cls.__doc__)
+    text = error.details() or cls.__doc__
+    if cls is ResourceExhausted and (sizes := _GRPC_TOO_LARGE.search(text)):
+        size, most = sizes.groups()
+        return MessageTooLarge(text, field="message", expected=f"at most {most} bytes", got=f"{size} bytes")
+    return cls(text)
 
 
 def first_line(error: BaseException) -> str:

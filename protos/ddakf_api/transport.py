@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 
 MAX_MESSAGE_BYTES = 64 * 1024 * 1024
 CLIENT_KEEPALIVE_SECONDS = 3.0
@@ -32,10 +33,11 @@ def is_loopback(host: str) -> bool:
 
 
 def client_options(target: str, max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
-    """Options of a client's channel to "host:port"."""
+    """Options of a client's channel to "host:port", also with a scheme of gRPC, such as "dns:///host:port"."""
+    host = re.sub(r"^(dns|ipv4|ipv6):(//[^/]*/)?", "", target).rpartition(":")[0]
     return [
         # gRPC, unlike browsers, asks the proxy of http_proxy for this machine too
-        ("grpc.enable_http_proxy", int(not is_loopback(target.rpartition(":")[0]))),
+        ("grpc.enable_http_proxy", int(not is_loopback(host))),
         *_message_limits(max_message_bytes),
         *_pings(CLIENT_KEEPALIVE_SECONDS, CLIENT_KEEPALIVE_TIMEOUT_SECONDS),
         ("grpc.keepalive_permit_without_calls", 0),

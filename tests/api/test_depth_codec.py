@@ -327,3 +327,15 @@ def test_confidences_that_one_byte_does_not_hold_are_named(more, field):
         encode_depth(np.ones((4, 6)), LENS, **more)
     whole = encode_depth(np.ones((4, 6)), LENS, confidence=np.full((4, 6), 255, np.uint16), min_confidence=255.0)
     assert sent(whole).keep.all()
+
+
+@pytest.mark.parametrize("kind", [bool, *np.typecodes["AllInteger"]])
+def test_a_mask_may_be_of_any_whole_numbers(kind):
+    mask = np.arange(24).reshape(4, 6) % 3 == 0
+    assert np.array_equal(sent(encode_depth(np.ones((4, 6)), LENS, mask=(mask * 64).astype(kind))).keep, mask)
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.uint32, np.int64, bool, float])
+def test_the_types_of_a_confidence_are_named(kind):
+    with pytest.raises(CodecError, match=r"^confidence: expected uint8 or uint16 of shape \(4, 6\), got "):
+        encode_depth(np.ones((4, 6)), LENS, confidence=np.ones((4, 6), kind))

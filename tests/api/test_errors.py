@@ -89,6 +89,14 @@ def test_a_status_without_detail_gives_the_general_class_of_its_code(code):
     assert error.status is (code if code in known else errors.Internal.status)
 
 
+@pytest.mark.parametrize("side", ["CLIENT: Sent", "SERVER: Received", "Received"])
+def test_a_message_that_grpc_refuses_is_too_large_and_not_to_be_sent_again(side):
+    said = f"{side} message larger than max (1200044 vs. 200000)"
+    error = from_rpc_error(Refused(grpc.StatusCode.RESOURCE_EXHAUSTED, said))
+    assert (type(error), str(error), error.retryable) == (errors.MessageTooLarge, said, False)
+    assert (error.field, error.expected, error.got) == ("message", "at most 200000 bytes", "1200044 bytes")
+
+
 def test_names_of_later_versions_are_still_errors():
     error = from_detail(pb.ErrorDetail(name="FromTheFuture", message="unheard of"))
     assert type(error) is ServiceError

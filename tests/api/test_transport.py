@@ -17,7 +17,12 @@ def test_both_sides_have_the_same_message_limit():
 
 @pytest.mark.parametrize(
     ("target", "proxied"),
-    [("127.0.0.1:1", 0), ("127.1.2.3:1", 0), ("[::1]:1", 0), ("localhost:1", 0), ("10.0.0.1:1", 1), ("garments.example:1", 1)],
+    [
+        *(("127.0.0.1:1", 0), ("127.1.2.3:1", 0), ("[::1]:1", 0), ("localhost:1", 0), ("10.0.0.1:1", 1)),
+        *(("garments.example:1", 1), ("dns:///garments.example:1", 1), ("dns://localhost/garments.example:1", 1)),
+        *(("dns:///localhost:1", 0), ("dns:localhost:1", 0), ("dns://8.8.8.8/localhost:1", 0)),
+        *(("ipv4:127.0.0.1:1", 0), ("ipv6:[::1]:1", 0), ("dns:1", 1)),
+    ],
 )
 def test_a_server_of_this_machine_is_reached_without_a_proxy(target, proxied):
     assert dict(client_options(target))["grpc.enable_http_proxy"] == proxied

@@ -56,6 +56,7 @@ class FakeService(rpc.TrackingServiceServicer):
         notice: sent after the first result.
         answered: responses of each session by frame number: those after the last one that a client has are repeated to it.
         most_waiting: largest number of frames that waited at once.
+        max_message_bytes: that the server announces; 0: none.
     """
 
     def __init__(self):
@@ -70,12 +71,18 @@ class FakeService(rpc.TrackingServiceServicer):
         self.requests: list[pb.CreateSessionRequest] = []
         self.frames: list[pb.Frame] = []
         self.keys: list[str | None] = []
-        self.most_waiting = 0
+        self.most_waiting = self.max_message_bytes = 0
 
     @refusing
     def GetServerInfo(self, request, context):
         time.sleep(self.delay)
-        return pb.ServerInfo(api_version=self.api_version, server_version="fake", point_codecs=self.codecs, fabrics=["cotton"])
+        return pb.ServerInfo(
+            api_version=self.api_version,
+            server_version="fake",
+            point_codecs=self.codecs,
+            fabrics=["cotton"],
+            max_message_bytes=self.max_message_bytes,
+        )
 
     @refusing
     def CreateSession(self, request, context):

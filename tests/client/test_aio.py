@@ -1,6 +1,7 @@
 """Asynchronous client, over a real socket."""
 
 import asyncio
+import time
 
 import numpy as np
 import pytest
@@ -12,6 +13,11 @@ from .conftest import in_one_buffer
 
 async def collected(stream):
     return [answer async for answer in stream]
+
+
+async def note(stream, seen):
+    async for answer in stream:
+        seen.append(answer.sequence)
 
 
 async def test_frames_in_results_out(service, mesh, frames):
@@ -75,6 +81,15 @@ async def test_errors_of_frames_and_of_the_server(service, mesh, frames):
             await collected(session.track(frames(3)))
 
 
+async def test_a_frame_above_the_limit_is_refused_and_the_stream_goes_on(service, mesh, frames):
+    service.max_message_bytes, made = 100_000, frames(4)
+    made[2] = (np.random.default_rng(0).uniform(-1, 1, (20_000, 3)), 1.0)
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless", codec="raw") as session:
+        answers = await collected(session.track(made, on_error="yield"))
+    assert [type(answer).__name__ for answer in answers] == ["Result", "Result", "FrameError", "Result"]
+    assert type(answers[2].error) is errors.MessageTooLarge
+
+
 async def test_a_frame_that_cannot_be_sent_is_refused_although_no_other_frame_comes(service, mesh, frames):
     told = [asyncio.Event() for _ in range(4)]
 
@@ -116,6 +131,64 @@ async def test_an_error_of_the_source_reaches_the_caller_unchanged(service, mesh
         with pytest.raises(type(error)) as raised:
             await collected(session.track(source(), on_error=on_error, timeout=3))
         assert raised.value is error
+
+
+async def test_frames_before_an_error_of_the_source_are_answered_first(service, mesh, frames):
+    service.delay, seen = 0.02, []
+
+    async def source():
+        for frame in frames(10):
+            yield frame
+        raise OSError("unplugged")
+
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        with pytest.raises(OSError, match="unplugged"):
+            await note(session.track(source()), seen)
+    assert seen == list(range(1, 11))
+
+
+@pytest.mark.parametrize("kind", ["asynchronous", "ordinary"])
+async def test_a_source_that_is_cancelled_is_an_error_after_the_answers(service, mesh, frames, kind):
+    camera, seen = asyncio.get_running_loop().create_future(), []
+
+    async def source():
+        for frame in frames(5):
+            yield frame
+        camera.cancel()
+        await camera
+
+    def ordinary():
+        yield from frames(5)
+        raise asyncio.CancelledError
+
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        stream = session.track(source() if kind == "asynchronous" else ordinary())
+        with pytest.raises(errors.Cancelled, match=r"^the source of frames was cancelled$"):
+            await note(stream, seen)
+    assert seen == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("leave", ["break", "aclose"])
+async def test_an_ordinary_source_may_be_used_again_after_its_stream(service, mesh, frames, leave):
+    def camera():
+        for frame in frames(100):
+            time.sleep(0.05)
+            yield frame
+
+    source, seen = camera(), []
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        for _ in range(2):
+            stream = session.track(source, takeover=True)
+            async for answer in stream:
+                seen.append(answer.sequence)
+                if len(seen) % 3 == 0:
+                    break
+            if leave == "aclose":
+                await stream.aclose()
+                assert next(source)  # no other thread runs the generator
+            del stream
+    assert len(seen) == 6
+    assert seen == sorted(seen)
 
 
 async def test_invalid_arguments_are_refused_before_sending(service, mesh):

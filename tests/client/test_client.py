@@ -6,6 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from ddakf_client import CODECS, Limits, aconnect, connect, errors
+from ddakf_client.calls import require_target
+from ddakf_client.history import history_request
 
 from .fake_server import CREATED
 
@@ -140,11 +142,25 @@ async def test_a_key_that_no_header_can_have_is_refused_and_not_shown(service, k
     assert service.keys == []
 
 
-@pytest.mark.parametrize("target", ["here", "127.0.0.1:99999", "[::1]", "dns:///here", "http://127.0.0.1:7702", ":7701"])
+FOREIGN = [f"{scheme}://127.0.0.1:7701" for scheme in ("http", "https", "grpc", "ws", "tcp")]
+
+
+@pytest.mark.parametrize("target", ["here", "127.0.0.1:99999", "[::1]", "dns:///here", ":7701", *FOREIGN])
 def test_a_target_without_a_port_is_refused(target):
     """gRPC would take its own default port, or another one than was written."""
     with pytest.raises(errors.InvalidArgument, match="target: expected HOST:PORT"):
         connect(target)
+
+
+@pytest.mark.parametrize("scheme", ["", "dns:", "dns:///", "ipv4:"])
+def test_a_target_may_have_a_scheme_of_grpc(service, scheme):
+    with connect(scheme + service.target) as client:
+        assert client.target == scheme + service.target
+
+
+@pytest.mark.parametrize("host", ["httpd", "http-proxy.lan"])
+def test_a_host_may_have_any_name(host):
+    require_target(f"{host}:7701")
 
 
 @pytest.mark.parametrize("target", [None, 5, b"127.0.0.1:7701", [5], {"127.0.0.1:7701": 1}])
@@ -169,6 +185,23 @@ def test_a_timeout_that_is_no_number_of_seconds_is_refused(service, mesh, timeou
 def test_the_longest_timeout_is_none_that_expires(service, mesh):
     with connect(service.target, timeout=1e9) as client, client.create_session(*mesh, flow="lossless") as session:
         assert [result.sequence for result in session.track([(mesh[0], 1.0)])] == [1]
+
+
+async def test_a_timeout_may_be_a_number_of_numpy(service, mesh):
+    for timeout in (np.float32(10), np.int64(10)):
+        with connect(service.target, timeout=timeout) as client:
+            assert type(client.timeout) in (int, float)
+            assert client.server_info().fabrics == ("cotton",)
+        async with aconnect(service.target, timeout=timeout) as client:
+            assert type(client.timeout) in (int, float)
+
+
+def test_the_history_names_its_own_arguments():
+    for name in ("start", "end"):
+        with pytest.raises(errors.InvalidArgument, match=rf"^{name}: expected a datetime with a time zone, got "):
+            history_request("some", **{name: datetime(2026, 1, 1)})
+    day = datetime(2026, 1, 1, tzinfo=UTC)
+    assert history_request("some", start=day).start_time.ToDatetime(UTC) == day
 
 
 def test_a_missing_server_is_an_immediate_error():

@@ -10,6 +10,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame
 from ddakf_client.exchange import Plan
 from ddakf_client.frames import held, to_message
+from ddakf_client.watch import watch_request
 
 DEPTH = np.arange(12, dtype=np.uint16).reshape(3, 4)
 LENS = (100.0, 101.0, 1.5, 1.0)
@@ -47,10 +48,13 @@ def test_every_point_keeps_its_color_whatever_the_order_is(codec, sensors):
     assert np.array_equal(decode_colors(sent), colors[nearest])
 
 
-@pytest.mark.parametrize("colors", [np.zeros((2, 3), np.uint8), np.zeros((3, 3)), np.zeros(9, np.uint8), "red"])
+@pytest.mark.parametrize(
+    "colors", [np.zeros((2, 3), np.uint8), np.zeros((3, 3)), np.zeros(9, np.uint8), "red", [[0, 0, 0], [0, 0]]], ids=str
+)
 def test_colors_of_another_shape_or_type_are_refused(colors):
-    with pytest.raises(CodecError, match="colors"):
+    with pytest.raises(CodecError, match=r"^colors: expected uint8 of shape \(3, 3\), got ") as refusal:
         message(Frame(np.zeros((3, 3)), 1.0, colors=colors))
+    assert refusal.value.field == "colors"
 
 
 def test_received_colors_of_another_length_are_refused_with_the_field():
@@ -101,6 +105,10 @@ SCALES = [1000, 1.001, 0, -0.001, float("nan"), float("inf"), "0.001", None]  # 
         (Frame(timestamp=1.0, depth=DEPTH), CodecError, "intrinsics"),
         (Frame(timestamp=1.0, depth=DEPTH[0], intrinsics=LENS), CodecError, "depth"),
         *((Frame(timestamp=1.0, depth=DEPTH, intrinsics=LENS, depth_scale=s), InvalidFrame, "depth_scale") for s in SCALES),
+        (Frame(np.zeros((1, 3)), 1.0, mask=DEPTH), InvalidFrame, "mask"),
+        (Frame([], 1.0, confidence=DEPTH), InvalidFrame, "confidence"),
+        (Frame(np.zeros((1, 3)), 1.0, pose=POSE), InvalidFrame, "pose"),
+        (Frame(np.zeros((1, 3)), 1.0, intrinsics=LENS), InvalidFrame, "intrinsics"),
         (Frame(np.zeros((1, 3)), 1.0, display_time=float("nan")), InvalidFrame, "display_time"),
         (Frame(np.zeros((1, 3)), 1.0, display_time="soon"), InvalidFrame, "display_time"),
         (Frame(np.zeros((1, 3)), 1.0, deadline=0.0), InvalidFrame, "deadline"),
@@ -127,6 +135,51 @@ def test_a_held_frame_stays_when_the_camera_writes_the_next_one():
     assert not any(frame.points.any() for frame in kept)
 
 
+class Tensor:
+    """An array of another library, which gives NumPy its memory."""
+
+    def __init__(self, array):
+        self.array = array
+
+    def __array__(self, dtype=None, copy=None):
+        return self.array
+
+
+@pytest.mark.parametrize("wrap", [memoryview, Tensor, lambda buffer: [row.data for row in buffer]], ids=["view", "own", "rows"])
+def test_a_held_frame_has_a_copy_of_what_is_no_array_of_numpy(wrap):
+    buffer, pixels = np.zeros((3, 3)), np.ones((3, 4), np.float32)
+    cloud = held(Frame(wrap(buffer), 1.0, wrap(buffer), wrap(buffer)))
+    image = held(Frame(timestamp=1.0, depth=wrap(pixels), intrinsics=LENS, mask=wrap(pixels)))
+    buffer += 1
+    pixels[:] = 0
+    assert not any(np.any(array) for array in (cloud.points, cloud.sensor_origin, cloud.body_vertices))
+    assert all(np.all(array) for array in (image.depth, image.mask))
+
+
+def test_a_held_list_is_that_of_its_time():
+    rows = [[0.0, 0, 0], [0, 0, 1]]
+    kept = held((rows, 1.0))
+    rows[0][0] = 7
+    assert np.array_equal(kept.points, [[0, 0, 0], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("points", [[[0.0, 0, 0], [1.0, 0]], "here", None, {1.0}], ids=str)
+def test_what_cannot_be_an_array_is_held_as_it_is(points):
+    assert held(Frame(points, 1.0)).points is points
+
+
+def test_a_masked_array_is_refused_because_its_mask_would_be_lost():
+    masked = np.ma.masked_invalid([[0, 0, np.nan], [0, 0, 1]])
+    with pytest.raises(CodecError, match=r"^points: expected .* without a mask of NumPy, got a masked array$"):
+        message(held(Frame(masked, 1.0)))
+
+
+@pytest.mark.parametrize("length", [0, 1, 5])
+def test_a_tuple_of_another_length_is_named_by_it(length):
+    with pytest.raises(InvalidFrame, match=f"got a tuple of {length}$"):
+        Frame.of((np.zeros((1, 3)),) * length)
+
+
 def test_a_frame_without_points_and_depth_is_refused():
     with pytest.raises(InvalidFrame, match="frame: expected a Frame"):
         Frame.of(SimpleNamespace(timestamp=1.0))
@@ -146,6 +199,18 @@ def test_a_plan_with_unknown_options_is_refused(change):
     with pytest.raises(InvalidArgument) as refusal:
         Plan("sessions/a", 10.0, **change)
     assert refusal.value.field == next(iter(change))
+
+
+@pytest.mark.parametrize("number", [np.int64, np.uint8, np.float32, np.float64])
+def test_a_plan_takes_numbers_of_numpy(number):
+    whole = number if np.issubdtype(number, np.integer) else np.int32
+    plan = Plan("sessions/a", number(5), step=number(1), resume=number(3), every_nth=whole(2), velocities=np.bool_(True))
+    given = plan.timeout, plan.step, plan.resume, plan.every_nth, plan.velocities
+    assert given == (5, 1, 3, 2, True)
+    assert not any(isinstance(value, np.generic) for value in given)
+    options = plan.start().start.result_options
+    assert (options.every_nth, options.include_velocities) == (2, True)
+    assert watch_request("sessions/a", whole(2)).every_nth == 2
 
 
 def test_a_plan_asks_for_compact_results_and_every_nth():

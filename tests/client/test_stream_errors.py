@@ -1,5 +1,6 @@
 """Stream errors: failures of frames, source and server raise specific errors, never a hang."""
 
+import itertools
 import threading
 
 import numpy as np
@@ -113,6 +114,36 @@ def test_an_error_of_the_source_reaches_the_caller_unchanged(service, mesh, fram
     assert service.sessions == {}
 
 
+def test_frames_before_an_error_of_the_source_are_answered_first(service, mesh, frames):
+    service.delay, seen = 0.02, []
+
+    def source():
+        yield from frames(10)
+        raise OSError("unplugged")
+
+    with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        with pytest.raises(OSError, match="unplugged"):
+            seen.extend(answer.sequence for answer in session.track(source()))
+        assert seen == list(range(1, 11))
+        assert session.info().applied == 10
+
+
+def test_frames_before_an_error_of_the_source_survive_a_lost_connection(outage, mesh, frames):
+    outage.service.delay, seen = 0.02, []
+
+    def source():
+        yield from frames(20)
+        raise OSError("unplugged")
+
+    with connect(outage.target) as client:
+        stream = client.create_session(*mesh, flow="lossless").track(source(), on_notice=lambda _: None)
+        seen.extend(answer.sequence for answer in itertools.islice(stream, 15))
+        outage.strike()
+        with pytest.raises(OSError, match="unplugged"):
+            seen.extend(answer.sequence for answer in stream)
+    assert seen == list(range(1, 21))
+
+
 def test_all_frames_refused_in_realtime_do_not_stop_the_stream(service, mesh, frames):
     service.refused, service.delay = set(range(1, 100)), 0.002
     with connect(service.target) as client, client.create_session(*mesh) as session:
@@ -150,11 +181,36 @@ def test_a_stream_that_ends_early_is_an_error(service, mesh, frames, flow):
         list(session.track(frames(9)))
 
 
-def test_a_message_above_the_limit_is_an_error_not_a_hang(service, mesh):
-    large = [Frame(np.random.default_rng(0).uniform(-1, 1, (400_000, 3)), 0.0)]
+LARGE = np.random.default_rng(0).uniform(-1, 1, (20_000, 3))
+DEPTH = {"depth": np.ones((200, 200), np.float32), "intrinsics": (200, 200, 100, 100)}
+
+
+@pytest.mark.parametrize("limit_of", ["client", "server"])
+@pytest.mark.parametrize("large", [Frame(LARGE, 1.0), Frame(timestamp=1.0, **DEPTH)], ids=["points", "depth"])
+def test_a_frame_above_the_limit_is_refused_and_the_stream_goes_on(service, mesh, frames, large, limit_of):
+    limits = {"max_message_bytes": 100_000} if limit_of == "client" else {}
+    service.max_message_bytes = 0 if limits else 100_000
+    service.delay, made, seen = 0.02, frames(6), []
+    made[4] = large
+    options = {"codec": "raw", "depth_codec": "none"}
+    with connect(service.target, **limits) as client, client.create_session(*mesh, flow="lossless") as session:
+        answers = list(session.track(made, on_error="yield", **options))
+        with pytest.raises(errors.MessageTooLarge, match="expected a message of at most 100000 bytes") as refusal:
+            seen.extend(answer.sequence for answer in session.track(made, **options))
+    assert [type(answer).__name__ for answer in answers] == ["Result"] * 4 + ["FrameError", "Result"]
+    assert type(answers[4].error) is errors.MessageTooLarge
+    assert seen == [7, 8, 9, 10]
+    assert refusal.value.sequence == 11
+    assert refusal.value.field == ("points" if large.depth is None else "depth")
+    assert not refusal.value.retryable
+
+
+def test_a_request_above_the_limit_is_not_worth_a_retry(service, mesh):
+    vertices = np.zeros((20_000, 3))
     with (
-        connect(service.target, max_message_bytes=1 << 20) as client,
-        client.create_session(*mesh, codec="raw") as session,
-        pytest.raises(errors.ResourceExhausted),
+        connect(service.target, max_message_bytes=100_000) as client,
+        pytest.raises(errors.MessageTooLarge, match="larger than max") as refusal,
     ):
-        list(session.track(large))
+        client.create_session(vertices, mesh[1])
+    assert not refusal.value.retryable
+    assert (refusal.value.expected, refusal.value.got.endswith(" bytes")) == ("at most 100000 bytes", True)

@@ -72,7 +72,7 @@ def aconnect(
         return grpc.aio.secure_channel(target, credentials, options)
 
     async def opened() -> AsyncClient:
-        client = AsyncClient(open_channel, targets, timeout=timeout, api_key=api_key)
+        client = AsyncClient(open_channel, targets, timeout=timeout, api_key=api_key, max_message_bytes=max_message_bytes)
         try:
             client.server = await client.server_info()
         except ServiceError:
@@ -89,9 +89,16 @@ class AsyncClient:
     server: ServerInfo
 
     def __init__(
-        self, open_channel: Callable[[str], grpc.aio.Channel], targets: Sequence[str], *, timeout: float, api_key: str | None
+        self,
+        open_channel: Callable[[str], grpc.aio.Channel],
+        targets: Sequence[str],
+        *,
+        timeout: float,
+        api_key: str | None,
+        max_message_bytes: int,
     ):
-        self._open_channel, self._targets, self.timeout = open_channel, targets, timeout
+        self._open_channel, self._targets, self.timeout = open_channel, targets, calls.plain(timeout)
+        self._max_message_bytes = max_message_bytes
         self._addresses = tuple(targets)  # with that of the last redirection
         self._channels: dict[str, grpc.aio.Channel] = {}  # by target
         self._closed = False
@@ -202,7 +209,8 @@ class AsyncClient:
         return history_from(await self.call("GetSessionHistory", history_request(session_id, **span)))
 
     def _session(self, method: str, request: object, *, keep: bool, **options: Any) -> Opening[AsyncSession]:
-        plan = Plan("", self.timeout, **options)
+        limit = calls.message_limit(self._max_message_bytes, self.server)
+        plan = Plan("", self.timeout, max_message_bytes=limit, **options)
         calls.require_codec(plan.codec, self.server)
 
         async def opened() -> AsyncSession:

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Iterable, Iterator
 from typing import Protocol
+from weakref import WeakValueDictionary
 
 import grpc
 from ddakf_api.errors import Cancelled, ServiceError, Unavailable
@@ -17,11 +18,14 @@ from ddakf_client.calls import CLOSED, failure
 from ddakf_client.exchange import Exchange, Plan, encode_request, without_notices
 from ddakf_client.frames import held
 from ddakf_client.results import FrameError, Notice, Result
+from ddakf_client.stream import JOIN_SECONDS
 
 _END = object()
 _LOST_STATUS = "Internal error from Core"
 _STATUS_SECONDS = 1.0
 _LEAST_PAUSE = 0.05  # seconds
+_taking: WeakValueDictionary[int, threading.Thread] = WeakValueDictionary()
+"""Threads that wait for the next frame of an iterator, by its id."""
 
 
 class Connection(Protocol):
@@ -69,27 +73,22 @@ async def track(
                     stream.ended()
                 lost = status.details() == _LOST_STATUS  # no status of the server: the connection is lost
                 failed = Unavailable(f"the connection to {target} was lost") if lost else None
-                failed = stream.failure or stream.silence or failed or failure(status, target, plan.timeout)
+                failed = stream.silence or failed or failure(status, target, plan.timeout)
                 if not stream.may_resume(failed, untried):
-                    raise failed from None
+                    raise stream.failure or failed from None
                 untried -= 1
                 connection.move_on(target)
             except asyncio.CancelledError:  # a read raises this also when this side cancelled the call, or closed the client
                 if asyncio.current_task().cancelling():
                     raise
-                failed = stream.failure or stream.silence or Cancelled(CLOSED)
+                failed = stream.silence or Cancelled(CLOSED)
                 if not stream.may_resume(failed, untried):
-                    raise failed from None
+                    raise stream.failure or failed from None
                 untried -= 1
                 connection.move_on(target)
             await stream.pause()
-    except asyncio.CancelledError:
-        # A read also raises this when this side cancelled the call.
-        if stream.failure:
-            raise stream.failure from None
-        raise
     finally:
-        stream.close()
+        await stream.close()
 
 
 class _Stream:
@@ -154,11 +153,13 @@ class _Stream:
         """Waits until the next attempt."""
         await asyncio.sleep(self._exchange.pause(time.monotonic()))
 
-    def close(self) -> None:
+    async def close(self) -> None:
         if self._call:
             self._call.cancel()
         for task in self._tasks:
             task.cancel()
+        if self._tasks:  # the caller may then reuse the iterator
+            await asyncio.wait(self._tasks, timeout=JOIN_SECONDS)
 
     async def read(self) -> pb.TrackResponse:
         """Returns the next response, or EOF."""
@@ -195,6 +196,7 @@ class _Stream:
                     yield ping
 
     async def _pull(self) -> None:
+        failed = None
         try:
             frames = _as_async_iterator(self._frames)
             while await self._until(self._exchange.can_offer):
@@ -202,10 +204,15 @@ class _Stream:
                     break
                 self._exchange.offer(held(frame), time.monotonic())
                 self._changed.set()
+        except asyncio.CancelledError:
+            if asyncio.current_task().cancelling():  # the stream ends
+                raise
+            failed = Cancelled("the source of frames was cancelled")
         except Exception as error:  # of the iterator of the caller: raised where the results are read
-            self._fail(error)
-        self._exchange.exhausted = True
-        self._changed.set()
+            failed = error
+        finally:
+            self._exchange.exhaust(failed)
+            self._changed.set()
 
     async def _watch(self) -> None:
         """Ends the stream when the server exceeds the timeout; only the call where there is another server or attempt."""
@@ -228,7 +235,7 @@ class _Stream:
         return True
 
     def _fail(self, error: Exception) -> None:
-        self._exchange.failure = self._exchange.failure or error
+        self._exchange.fail(error)
         self._call.cancel()
 
 
@@ -249,7 +256,8 @@ def _status_of(call: grpc.aio.Call) -> grpc.aio.AioRpcError:
 async def _as_async_iterator(frames: AsyncIterable[object] | Iterable[object]) -> AsyncIterator[object]:
     """Yields frames of either kind of iterable. An ordinary iterator runs in threads, because it may wait for a camera.
 
-    Daemons: one that waits for ever does not keep the program from its end, as a thread of the loop's executor does.
+    Daemons: one that waits for ever does not keep the program from its end, as a thread of the loop's executor does. A thread
+    waits for that of an earlier stream of the same iterator: after ``break`` the loop closes that stream later.
     """
     if isinstance(frames, AsyncIterable):
         async for frame in frames:
@@ -257,15 +265,28 @@ async def _as_async_iterator(frames: AsyncIterable[object] | Iterable[object]) -
         return
     iterator, loop = iter(frames), asyncio.get_running_loop()
     while True:
-        taken = loop.create_future()
-        threading.Thread(target=_take, args=(iterator, loop, taken), name="ddakf-frames", daemon=True).start()
-        if (frame := await taken) is _END:
+        taken, before = loop.create_future(), _taking.get(id(iterator))
+        thread = threading.Thread(target=_take, args=(iterator, before, loop, taken), name="ddakf-frames", daemon=True)
+        _taking[id(iterator)] = thread
+        thread.start()
+        try:
+            await asyncio.wait([taken])  # does not cancel it
+        except asyncio.CancelledError:
+            await asyncio.wait([taken], timeout=JOIN_SECONDS)
+            if not taken.cancel():
+                taken.exception()  # nobody reads it any more
+            raise
+        if (frame := taken.result()) is _END:
             return
         yield frame
 
 
-def _take(iterator: Iterator[object], loop: asyncio.AbstractEventLoop, taken: asyncio.Future) -> None:
+def _take(
+    iterator: Iterator[object], before: threading.Thread | None, loop: asyncio.AbstractEventLoop, taken: asyncio.Future
+) -> None:
     """Sets the next frame, the end, or the iterator's error, unless nobody waits for it any more."""
+    if before:
+        before.join(JOIN_SECONDS)
     try:
         settle, outcome = taken.set_result, next(iterator, _END)
     except BaseException as error:

@@ -39,6 +39,7 @@ LONGEST_TIMEOUT = 1e9
 """Largest timeout in seconds; with a much larger one, a call of gRPC fails at once."""
 
 CLOSED = "the client is closed"
+_SCHEMES = ("dns", "unix", "ipv4", "ipv6", "xds")  # of gRPC's addresses
 
 
 def metadata_for(api_key: str | None) -> tuple[tuple[str, str], ...]:
@@ -90,10 +91,15 @@ def may_call_elsewhere(error: grpc.RpcError, failed: ServiceError, method: str) 
 
 
 def require_target(target: str) -> None:
-    """Raises :class:`InvalidArgument` unless the address ends with a port; gRPC takes a larger one for another port."""
+    """Raises :class:`InvalidArgument` unless the address is gRPC's and ends with a port.
+
+    gRPC takes a port that is too large for another one, and a scheme of others for the name of a host.
+    """
+    scheme, separator, _ = target.partition("://")
     address, _, port = target.rpartition("/")[2].rpartition(":")
     is_port = port.isascii() and port.isdecimal() and 0 < int(port) < 1 << 16
-    if not target.startswith("unix:") and (target.startswith("http") or not (address and is_port)):
+    is_foreign = separator and scheme not in _SCHEMES
+    if is_foreign or not (target.startswith("unix:") or (address and is_port)):
         raise InvalidArgument(field="target", expected="HOST:PORT of gRPC", got=repr(target[:80]))
 
 
@@ -130,11 +136,21 @@ def checked_server(message: pb.ServerInfo) -> ServerInfo:
     return server_info_from(message)
 
 
+def message_limit(of_client: int, server: ServerInfo) -> float:
+    """Largest request in bytes: the smaller limit of both sides. One that is not above 0 is none."""
+    return min((limit for limit in (of_client, server.max_message_bytes) if limit > 0), default=math.inf)
+
+
 def require_codec(codec: str, server: ServerInfo) -> None:
     """Raises :class:`CodecError` unless the server supports the codec."""
     if codec not in server.codecs:
         expected = f"a codec of the server, {' or '.join(server.codecs)}"
         raise CodecError(field="codec", expected=expected, got=repr(codec))
+
+
+def plain(value: object) -> object:
+    """A number of NumPy as one of Python: arithmetic with a float32 would round times to minutes."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def require_timeout(timeout: object) -> None:
@@ -158,7 +174,7 @@ def require_handler(on_notice: object) -> None:
 
 def require_every_nth(every_nth: object) -> None:
     """Raises :class:`InvalidArgument` unless it is an integer of at least 1."""
-    if not isinstance(every_nth, int) or isinstance(every_nth, bool) or not 1 <= every_nth < 2**32:
+    if not isinstance(every_nth, (int, np.integer)) or isinstance(every_nth, bool) or not 1 <= every_nth < 2**32:
         raise InvalidArgument(field="every_nth", expected="a whole number from 1 on", got=repr(every_nth)[:80])
 
 

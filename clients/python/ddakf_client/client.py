@@ -67,7 +67,7 @@ def connect(
             return grpc.insecure_channel(target, options)
         return grpc.secure_channel(target, credentials, options)
 
-    client = Client(open_channel, targets, timeout=timeout, api_key=api_key)
+    client = Client(open_channel, targets, timeout=timeout, api_key=api_key, max_message_bytes=max_message_bytes)
     try:
         client.server = client.server_info()
     except ServiceError:
@@ -88,9 +88,16 @@ class Client:
     server: ServerInfo
 
     def __init__(
-        self, open_channel: Callable[[str], grpc.Channel], targets: Sequence[str], *, timeout: float, api_key: str | None
+        self,
+        open_channel: Callable[[str], grpc.Channel],
+        targets: Sequence[str],
+        *,
+        timeout: float,
+        api_key: str | None,
+        max_message_bytes: int,
     ):
-        self._open_channel, self._targets, self.timeout = open_channel, targets, timeout
+        self._open_channel, self._targets, self.timeout = open_channel, targets, calls.plain(timeout)
+        self._max_message_bytes = max_message_bytes
         self._addresses = tuple(targets)  # with that of the last redirection
         self._channels: dict[str, grpc.Channel] = {}  # by target
         self._closed = False
@@ -274,7 +281,8 @@ class Client:
         return history_from(self.call("GetSessionHistory", request))
 
     def _session(self, method: str, request: object, *, keep: bool, **options: object) -> Session:
-        plan = Plan("", self.timeout, **options)
+        limit = calls.message_limit(self._max_message_bytes, self.server)
+        plan = Plan("", self.timeout, max_message_bytes=limit, **options)
         calls.require_codec(plan.codec, self.server)
         message = self.call(method, request)
         return Session(self, message, replace(plan, name=message.name), keep=keep)
@@ -368,7 +376,7 @@ class Session:
         """Streams frames and yields their results in order, until every frame has an answer.
 
         A separate thread pulls the frames, so that `frames` may wait for a camera. In lossless mode it pulls them only as
-        fast as the server tracks them.
+        fast as the server tracks them. An error of `frames` is raised once the frames before it have their answers.
 
         Args:
             frames: :class:`Frame` objects, tuples in the order of its fields, or objects with its attributes.
@@ -390,7 +398,7 @@ class Session:
         Raises:
             SessionBusy: the session has another stream.
             WorkerLost, Unavailable, DeadlineExceeded, SessionNotFound, ...: reason for the early end of the stream.
-            InvalidFrame: a frame was refused; ``sequence`` is its number.
+            InvalidFrame, MessageTooLarge: a frame was refused; ``sequence`` is its number.
         """
         plan = self._plan.of_stream(
             flow=flow,

@@ -21,10 +21,18 @@ from typing import Any, NamedTuple, TypedDict
 
 from ddakf_api import API_VERSION
 from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_DEPTH_CODEC, DEFAULT_STEP, DEPTH_CODECS
-from ddakf_api.errors import DeadlineExceeded, Draining, InvalidArgument, InvalidFrame, ServiceError, Unavailable
+from ddakf_api.errors import (
+    DeadlineExceeded,
+    Draining,
+    InvalidArgument,
+    InvalidFrame,
+    MessageTooLarge,
+    ServiceError,
+    Unavailable,
+)
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from ddakf_client.calls import require_every_nth, require_handler, require_step, require_timeout
+from ddakf_client.calls import plain, require_every_nth, require_handler, require_step, require_timeout
 from ddakf_client.frames import Frame, time_of, to_message
 from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
 
@@ -72,6 +80,9 @@ class TrackOptions(TypedDict, total=False):
 class Plan:
     """Options of a stream; :meth:`ddakf_client.Session.track` describes the fields.
 
+    Attributes:
+        max_message_bytes: largest request that this client sends and the server accepts.
+
     Raises:
         InvalidArgument: an option has an invalid value.
     """
@@ -90,8 +101,11 @@ class Plan:
     compact: bool = False
     every_nth: int = 1
     resume: float = RESUME
+    max_message_bytes: float = math.inf
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            object.__setattr__(self, name, plain(value))
         for field, allowed in (("flow", FLOWS), ("codec", CODECS), ("on_error", ON_ERROR), ("depth_codec", DEPTH_CODECS)):
             value = getattr(self, field)
             if not isinstance(value, str) or value not in allowed:
@@ -158,13 +172,14 @@ class Exchange:
         started: the server has opened the stream.
         lost: the connection is lost and not yet replaced.
         exhausted: no more frames will be offered.
-        failure: error that ends the stream early and is raised to the caller.
+        failure: error that is raised to the caller, the first one: of the source, or one that ends the stream early.
     """
 
     def __init__(self, plan: Plan, now: float):
         self.plan = plan
         self.started = self.exhausted = self.lost = False
         self.failure: BaseException | None = None
+        self._ends_early = False  # nothing more is sent
         self._lossless = plan.flow == "lossless"
         self._in_flight = IN_FLIGHT
         self._next_sequence = 1
@@ -199,6 +214,14 @@ class Exchange:
         self._slot = Offered(self._next_sequence, frame, now)
         self._next_sequence += 1
 
+    def exhaust(self, error: BaseException | None = None) -> None:
+        """Notes that no more frames come. An error of their source is raised once the frames before it have their answers."""
+        self.exhausted, self.failure = True, self.failure or error
+
+    def fail(self, error: BaseException) -> None:
+        """Ends the stream early."""
+        self.failure, self._ends_early = self.failure or error, True
+
     def can_take(self) -> bool:
         waiting = len(self._waiting())
         return self.started and bool(self._slot or self._resend) and waiting < self._in_flight
@@ -214,7 +237,7 @@ class Exchange:
 
     def is_done(self) -> bool:
         """Whether nothing more will be sent."""
-        return self.failure is not None or (self.exhausted and self._slot is None and not self._resend and not self.lost)
+        return self._ends_early or (self.exhausted and self._slot is None and not self._resend and not self.lost)
 
     def finish(self, now: float) -> None:
         """Marks the end of the requests as sent: the server owes the end of the stream."""
@@ -230,7 +253,7 @@ class Exchange:
             return None  # the connection was lost meanwhile: it will be tried again
         error.sequence = offered.sequence
         if self.plan.on_error == "raise":
-            self.failure = self.failure or error
+            self.fail(error)
             return None
         self._refused.append(FrameError(offered.sequence, time_of(offered.frame), error))
         return pb.TrackRequest(ping=pb.Ping()) if offered.sequence < self._first_waiting() else None
@@ -275,7 +298,7 @@ class Exchange:
         """The last answers after the server has ended the stream without an error.
 
         Raises:
-            ServiceError: a frame was refused and the plan requires an error.
+            ServiceError: a frame was refused and the plan requires an error. An error of the source is raised as it is.
             Unavailable: a frame has no answer.
         """
         if self.failure:
@@ -300,7 +323,7 @@ class Exchange:
         Args:
             untried: number of addresses at which a stream that has never been open may still be opened.
         """
-        if self.failure or type(error) not in (Unavailable, Draining):
+        if self._ends_early or type(error) not in (Unavailable, Draining):
             return False
         if not (self.started or self.lost):
             return untried > 0
@@ -411,7 +434,7 @@ class Exchange:
             oldest = refused.sequence - 2 * IN_FLIGHT
             self._unanswered = {other: sent for other, sent in self._unanswered.items() if other > oldest}
         if self.plan.on_error == "raise":
-            self.failure = self.failure or refused.error
+            self.fail(refused.error)
             return []
         return [*self.refused(refused.sequence), refused]
 
@@ -438,7 +461,12 @@ def encode_request(offered: Offered, plan: Plan) -> pb.TrackRequest:
     """
     try:
         message = to_message(Frame.of(offered.frame), offered.sequence, plan.codec, plan.step, plan.depth_codec)
-        return pb.TrackRequest(frame=message)
+        request = pb.TrackRequest(frame=message)
+        if (size := request.ByteSize()) > plan.max_message_bytes:  # it would end the stream, and with it earlier answers
+            field = "depth" if message.HasField("depth_image") else "points"
+            expected = f"a message of at most {plan.max_message_bytes} bytes"
+            raise MessageTooLarge(field=field, expected=expected, got=f"{size} bytes")
+        return request
     except ServiceError:
         raise
     except Exception as error:  # an error inside the iterator of gRPC ends the stream without a reason

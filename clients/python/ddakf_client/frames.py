@@ -14,6 +14,8 @@ from ddakf_api.codec.depth import checked_scale
 from ddakf_api.errors import CodecError, InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 
+_ARRAYS = ("points", "sensor_origin", "body_vertices", "depth", "intrinsics", "pose", "mask", "confidence", "colors")
+_OF_IMAGES = ("mask", "confidence", "pose", "intrinsics")
 _IMAGE_OPTIONS = ("pose", "mask", "confidence", "min_confidence", "colors", "depth_scale")
 
 
@@ -71,7 +73,8 @@ class Frame:
             names = (field.name for field in fields(cls))
             return cls(**{name: getattr(frame, name) for name in names if hasattr(frame, name)})
         expected = "a Frame, a tuple (points, timestamp[, sensor_origin[, body_vertices]]) or an object with these"
-        raise InvalidFrame(field="frame", expected=expected, got=type(frame).__name__)
+        got = f"a tuple of {len(frame)}" if isinstance(frame, tuple) else type(frame).__name__
+        raise InvalidFrame(field="frame", expected=expected, got=got)
 
 
 def held(frame: object) -> object:
@@ -83,7 +86,16 @@ def held(frame: object) -> object:
         given = Frame.of(frame)
     except Exception:  # of the caller's object too
         return frame
-    return replace(given, **{name: array.copy() for name, array in vars(given).items() if isinstance(array, np.ndarray)})
+    return replace(given, **{name: _copied(getattr(given, name)) for name in _ARRAYS})
+
+
+def _copied(value: object) -> object:
+    """A copy as an array; what cannot be one stays as it is."""
+    try:
+        array = value if isinstance(value, np.ndarray) else np.asarray(value)
+        return array.copy() if array.ndim else value
+    except Exception:  # of NumPy or of the object's own conversion
+        return value
 
 
 def time_of(frame: object) -> float | None:
@@ -118,11 +130,18 @@ def to_message(frame: Frame, sequence: int, codec: str, step: float, depth_codec
 
 def _add_points(message: pb.Frame, frame: Frame, codec: str, step: float) -> None:
     points, runs = _points(frame.points), None
+    _require_none(frame, _OF_IMAGES, "points")
     colors = None if frame.colors is None or len(points) == 0 else checked_colors(frame.colors, points.shape)
     if frame.sensor_origin is not None:
         points, runs, order = _with_sensors(message, points, frame.sensor_origin)
         colors = colors if colors is None or order is None else colors[order]
     message.point_cloud.CopyFrom(encode(points, codec, step=step, runs=runs, colors=colors).cloud)
+
+
+def _require_none(frame: Frame, names: Sequence[str], beside: str) -> None:
+    for name in names:
+        if getattr(frame, name) is not None:
+            raise InvalidFrame(field=name, expected=f"none beside {beside}", got=type(getattr(frame, name)).__name__)
 
 
 def _points(points: object) -> np.ndarray:
@@ -134,9 +153,7 @@ def _points(points: object) -> np.ndarray:
 
 
 def _add_depth(message: pb.Frame, frame: Frame, codec: str) -> None:
-    for name in ("points", "sensor_origin"):
-        if getattr(frame, name) is not None:
-            raise InvalidFrame(field=name, expected="none beside a depth image", got=type(getattr(frame, name)).__name__)
+    _require_none(frame, ("points", "sensor_origin"), "a depth image")
     checked_scale(frame.depth_scale, "depth_scale")
     image = encode_depth(
         frame.depth, frame.intrinsics, codec=codec, **{name: getattr(frame, name) for name in _IMAGE_OPTIONS}

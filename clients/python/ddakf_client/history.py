@@ -73,12 +73,12 @@ def history_request(
             integer = field == "max_samples"
             expected = "a whole number from 0 to 4294967295" if integer else "a number of seconds"
             raise InvalidArgument(field=field, expected=expected, got=repr(value)[:80]) from None
-    for field, value in (("start_time", start), ("end_time", end)):
+    for field, value in (("start", start), ("end", end)):
         if value is None:
             continue
         if not isinstance(value, datetime) or value.tzinfo is None:
             raise InvalidArgument(field=field, expected="a datetime with a time zone", got=repr(value)[:80])
-        getattr(request, field).FromDatetime(value.astimezone(UTC))
+        getattr(request, f"{field}_time").FromDatetime(value.astimezone(UTC))
     return request
 
 

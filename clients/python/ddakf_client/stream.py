@@ -17,7 +17,9 @@ from ddakf_client.exchange import Exchange, Plan, encode_request, without_notice
 from ddakf_client.frames import held
 from ddakf_client.results import FrameError, Notice, Result
 
-_JOIN_SECONDS = 1.0
+JOIN_SECONDS = 1.0
+"""Longest wait for a source of frames when its stream ends."""
+
 _LEAST_PAUSE = 0.05  # seconds
 _END = object()
 
@@ -57,9 +59,9 @@ def track(connection: Connection, frames: Iterable[object], plan: Plan) -> Itera
                 yield from stream.ended()
                 return
             except grpc.RpcError as error:
-                failed = stream.failure or stream.silence or failure(error, target, plan.timeout)
+                failed = stream.silence or failure(error, target, plan.timeout)
                 if not stream.may_resume(failed, untried):
-                    raise failed from None
+                    raise stream.failure or failed from None
                 untried -= 1
                 connection.move_on(target)
             stream.pause()
@@ -113,7 +115,7 @@ class _Stream:
             self._call.cancel()
         # The caller may then reuse the iterator; an iterator that waits for a camera cannot be interrupted.
         for thread in self._threads:
-            thread.join(_JOIN_SECONDS)
+            thread.join(JOIN_SECONDS)
 
     # The caller's thread --------------------------------------------------------------------------------------------
 
@@ -178,6 +180,7 @@ class _Stream:
     # Threads of the stream ------------------------------------------------------------------------------------------
 
     def _pull(self) -> None:
+        failed = None
         try:
             frames = iter(self._frames)
             while self._wait_to_offer() and (frame := next(frames, _END)) is not _END:
@@ -185,9 +188,9 @@ class _Stream:
                 with self._change():
                     self._exchange.offer(own, time.monotonic())
         except BaseException as error:  # of the iterator of the caller: raised where the results are read
-            self._fail(error)
+            failed = error
         with self._change():
-            self._exchange.exhausted = True
+            self._exchange.exhaust(failed)
 
     def _wait_to_offer(self) -> bool:
         """Waits until another frame may be offered; returns whether the stream continues."""
@@ -219,7 +222,7 @@ class _Stream:
             return self._exchange.deadline(now) - now
 
     def _fail(self, error: BaseException) -> None:
-        self._exchange.failure = self._exchange.failure or error
+        self._exchange.fail(error)
         self._call.cancel()
 
     @contextmanager

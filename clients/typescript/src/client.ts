@@ -4,7 +4,7 @@ import { create, toJson, type JsonObject } from "@bufbuild/protobuf";
 import { pack } from "./codec/arrays.js";
 import { typeName, type Points } from "./codec/quantise.js";
 import { Encoder } from "./encoder/encoder.js";
-import { InvalidArgument, InvalidMesh } from "./errors.js";
+import { InvalidArgument, InvalidMesh, SessionNotFound } from "./errors.js";
 import { CreateMeshRequestSchema, ListMeshesResponseSchema, StoredMeshSchema } from "./gen/ddakf_api/v1/tracking_pb.js";
 import { CreateSessionRequestSchema, ListSessionsResponseSchema, ServerInfoSchema } from "./gen/ddakf_api/v1/tracking_pb.js";
 import { SessionHistorySchema, SessionLimitsSchema, SessionSchema } from "./gen/ddakf_api/v1/tracking_pb.js";
@@ -17,6 +17,7 @@ import { Session, configText, packed, type Host, type Limits } from "./session.j
 import { API_VERSION, requireCompatible } from "./version.js";
 
 const PROTO_NAMES = { useProtoFieldName: true };
+const SESSION_NAME = /^sessions\/[a-z][a-z0-9-]{3,62}$/; // as of the server
 
 /** Options of {@link connect}. */
 export interface ConnectOptions {
@@ -98,8 +99,9 @@ export class Client implements Host {
     return this.rest.base;
   }
 
-  /** Ends the encoder's worker. Sessions stay on the server until they expire. */
+  /** Ends the encoder's worker; later calls throw FailedPrecondition. Sessions stay on the server until they expire. */
   close(): void {
+    this.rest.close();
     this.encoder.close();
   }
 
@@ -206,7 +208,7 @@ export class Client implements Host {
   }
 
   /** Statistics over time of a live session, or of the last ended session with this id. `resolution` is in seconds. */
-  history(
+  async history(
     sessionId: string,
     span: { start?: Date; end?: Date; resolution?: number; maxSamples?: number } = {},
   ): Promise<SessionHistory> {
@@ -238,6 +240,11 @@ export class Client implements Host {
   }
 
   /** @internal */
+  get maxMessageBytes(): number {
+    return Number(this.server.maxMessageBytes);
+  }
+
+  /** @internal */
   get others(): number {
     return this.rest.others;
   }
@@ -253,6 +260,7 @@ export class Client implements Host {
   }
 
   private socketUrl(rest: string): string {
+    this.rest.requireOpen();
     return `${this.url.replace(/^http/, "ws")}/v1/${rest}`;
   }
 }
@@ -286,8 +294,17 @@ function keyOf(apiKey: string | undefined): string | undefined {
   throw new InvalidArgument("", { field: "apiKey", expected: "characters that a WebSocket's subprotocol can have", got });
 }
 
+/**
+ * The path of a session. An id of another form would lead elsewhere: an empty one to the list of sessions.
+ *
+ * @throws SessionNotFound unless the text has the form of an id; InvalidArgument: it is no text.
+ */
 function path(sessionId: string): string {
-  return `/v1/sessions/${encodeURIComponent(sessionId.replace(/^sessions\//, ""))}`;
+  if (typeof sessionId !== "string")
+    throw new InvalidArgument("", { field: "sessionId", expected: "text", got: typeName(sessionId) });
+  const name = `sessions/${sessionId.replace(/^sessions\//, "")}`;
+  if (!SESSION_NAME.test(name)) throw new SessionNotFound(`there is no ${name}`);
+  return `/v1/${name}`;
 }
 
 /** A unique text; `crypto.randomUUID` exists in secure contexts alone. */

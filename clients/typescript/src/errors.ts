@@ -208,9 +208,12 @@ export class MethodNotAllowed extends ServiceError {
   static override readonly httpStatus: number = 405;
 }
 
-/** Error classes by wire name. The first class of an HTTP status is the default for that status. */
-export const ERRORS: ReadonlyMap<string, typeof ServiceError> = new Map(
-  [
+/**
+ * Error classes by wire name. The first class of an HTTP status is the default for that status. Pure: a bundle that does not look
+ * errors up, such as that of the worker, has only the classes that it throws.
+ */
+export const ERRORS: ReadonlyMap<string, typeof ServiceError> = /* @__PURE__ */ new Map(
+  /* @__PURE__ */ [
     ...[InvalidArgument, InvalidMesh, InvalidFrame, CodecError, InvalidConfig, InvalidFile, InvalidSnapshot],
     ...[Unauthenticated, PermissionDenied, SessionNotFound, SessionExpired, SessionExists, FailedPrecondition],
     ...[

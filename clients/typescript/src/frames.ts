@@ -63,9 +63,11 @@ const CLOUD_CODECS: Record<CloudCodec, PointCodec> = {
 };
 const DEPTH_COMPRESSIONS: Record<DepthCodec, DepthCompression> = { rvl: DepthCompression.RVL, none: DepthCompression.NONE };
 
+const OF_IMAGES = ["mask", "confidence", "intrinsics", "pose"] as const;
 const FIELDS: readonly (keyof PointFrame | keyof DepthFrame)[] = [
   ...(["timestamp", "bodyVertices", "displayTime", "deadline", "points", "sensorOrigin", "colors", "depth"] as const),
-  ...(["width", "height", "depthScale", "mask", "confidence", "minConfidence", "intrinsics", "pose"] as const),
+  ...(["width", "height", "depthScale", "minConfidence"] as const),
+  ...OF_IMAGES,
 ];
 const LAST_ROW = [0, 0, 0, 1]; // of a pose of 16 numbers
 const LAST_ROW_ERROR = 1e-6;
@@ -167,6 +169,9 @@ function requireFrame(frame: unknown): asserts frame is Frame {
   if (!isFrame) throw new InvalidFrame("", { field: "frame", expected: "an object with points or depth", got: typeName(frame) });
   if ("points" in frame && "depth" in frame)
     throw new InvalidFrame("", { field: "frame", expected: "points or a depth image", got: "both" });
+  const given = frame as Partial<Record<keyof DepthFrame, unknown>>;
+  const stray = "points" in frame && OF_IMAGES.find((name) => given[name] !== undefined);
+  if (stray) throw new InvalidFrame("", { field: stray, expected: "none beside points", got: typeName(given[stray]) });
 }
 
 function sensor(origin: Position, pointCount: number): MessageInitShape<typeof SensorSchema> & FrameMessage["sensors"][number] {

@@ -1,6 +1,7 @@
 /** REST: calls of the HTTP interface, which speaks the JSON mapping of the contract's messages. */
 import { fromJson, toJsonString, type DescMessage, type JsonObject, type JsonValue, type MessageShape } from "@bufbuild/protobuf";
-import { DeadlineExceeded, Draining, Internal, Unavailable, fromDetail, fromStatus, type ServiceError } from "./errors.js";
+import { DeadlineExceeded, Draining, FailedPrecondition, Internal, Unavailable, fromDetail, fromStatus } from "./errors.js";
+import type { ServiceError } from "./errors.js";
 import { ErrorDetailSchema } from "./gen/ddakf_api/v1/tracking_pb.js";
 
 /** Body and query of a call. */
@@ -23,6 +24,7 @@ export class Rest {
   /** Address of the present server. */
   base: string;
   private addresses: readonly string[]; // with that of the last redirection
+  private closed = false;
 
   /** @param bases addresses without a trailing slash, at least one; a path before `/v1` stays. */
   constructor(
@@ -68,11 +70,22 @@ export class Rest {
     }
   }
 
+  /** No call is made any more. */
+  close(): void {
+    this.closed = true;
+  }
+
+  /** @throws FailedPrecondition: the client is closed. */
+  requireOpen(): void {
+    if (this.closed) throw new FailedPrecondition("the client is closed");
+  }
+
   /**
    * The answer of a call that succeeded, with its whole body. One that no server has answered, or whose server is about to stop, is made at the next
    * address. Raises the classes of `errors`.
    */
   async call(method: string, path: string, options: CallOptions = {}): Promise<Response> {
+    this.requireOpen();
     for (let left = this.addresses.length; ; left--) {
       const base = this.base;
       const answer = await this.answer(base, method, path, options);

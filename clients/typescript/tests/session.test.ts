@@ -1,7 +1,7 @@
 /** Sessions and streams, with a running service. */
 import { afterAll, afterEach, beforeAll, beforeEach, describe, expect, test, vi } from "vitest";
 import { Client, FrameError, Result, connect, decodeCloud, messages } from "../dist/index.js";
-import type { Mesh, Notice, PointFrame, Session } from "../dist/index.js";
+import type { Frame, Mesh, Notice, PointFrame, Session } from "../dist/index.js";
 import * as errors from "../dist/errors.js";
 import { Proxy } from "./proxy.js";
 import { camera, collected, makeSheet, pause, sample, sheetFrame, sheetFrames } from "./scenes.js";
@@ -202,6 +202,15 @@ describe("a refused frame", () => {
     "no time": [{ points: new Float32Array(), timestamp: "now" }, "timestamp: expected a finite number of seconds, got string"],
     "a time that does not rise": [{ points: new Float32Array(), timestamp: 0 }, "capture_time"],
     "both kinds": [{ points: new Float32Array(), depth: new Float32Array(), timestamp: 1 }, "got both"],
+    ...Object.fromEntries(
+      ["mask", "confidence", "pose", "intrinsics"].map((name) => [
+        `points with ${name}`,
+        [
+          { points: new Float32Array(), timestamp: 1, [name]: new Uint8Array(12) },
+          `${name}: expected none beside points, got Uint8Array`,
+        ],
+      ]),
+    ),
     "a body of another size": [{ points: new Float32Array(), bodyVertices: new Float32Array(4), timestamp: 1 }, "bodyVertices"],
     "an image without a camera": [{ depth: new Float32Array(1), width: 1, height: 1, timestamp: 1 }, "intrinsics: expected 4"],
     "a pose by columns": [
@@ -242,11 +251,58 @@ describe("a refused frame", () => {
     })();
     await expect(collected(session.track(frames))).rejects.toThrow(new RangeError("the camera is gone"));
   });
+
+  test("of the caller's own iterator is thrown once the frames before it have their answers", async () => {
+    const frames = (function* () {
+      yield* sheetFrames(sheet, 20);
+      throw new RangeError("the camera is gone");
+    })();
+    const seen: number[] = [];
+    const tracking = async () => {
+      for await (const answer of session.track(frames, { flow: "lossless" })) seen.push(answer.sequence);
+    };
+    await expect(tracking()).rejects.toThrow(new RangeError("the camera is gone"));
+    expect(seen).toEqual(Array.from({ length: 20 }, (_, i) => i + 1));
+  });
+
+  test("above the limit of the server is not sent, and the stream goes on", async () => {
+    const limited = await Service.start(["--max-message-bytes", "100000"]);
+    const other = await connect(limited.http);
+    try {
+      const tracked = await other.createSession(sheet);
+      const [width, height] = [200, 200];
+      const depth = { depth: new Float32Array(width * height).fill(1), width, height, intrinsics: [200, 200, 100, 100] };
+      const large: Record<string, Frame> = {
+        points: { points: new Float32Array(60_000), timestamp: 0.3 },
+        depth: { ...depth, timestamp: 0.3 },
+      };
+      const options = { flow: "lossless", codec: "raw", depthCodec: "none" } as const;
+      for (const [field, frame] of Object.entries(large)) {
+        await tracked.reset();
+        const frames = [...sheetFrames(sheet, 6), frame, sheetFrame(sheet, 12)];
+        const answers = await collected(tracked.track(frames, { ...options, onError: "yield" }));
+        expect(answers.map((answer) => answer instanceof FrameError)).toEqual([...Array<boolean>(6).fill(false), true, false]);
+        const { error } = answers[6] as FrameError;
+        expect(error).toBeInstanceOf(errors.MessageTooLarge);
+        expect(error).toMatchObject({ field, expected: "a message of at most 100000 bytes" });
+      }
+      await tracked.reset();
+      const thrown = collected(tracked.track([large["points"]!], options));
+      await expect(thrown).rejects.toThrow(errors.MessageTooLarge);
+    } finally {
+      other.close();
+      await limited.stop();
+    }
+  });
 });
 
 describe("errors have the server's names", () => {
   test("a session that does not exist", async () => {
-    await expect(client.openSession("nobody-here")).rejects.toThrow(errors.SessionNotFound);
+    for (const id of ["nobody-here", "", "a/b", "..", "sessions/", "a?b"]) {
+      await expect(client.openSession(id)).rejects.toThrow(errors.SessionNotFound);
+      await expect(client.history(id)).rejects.toThrow(errors.SessionNotFound);
+    }
+    await expect(client.openSession(5 as never)).rejects.toThrow("sessionId: expected text, got number");
     await session.delete();
     await expect(collected(session.track(sheetFrames(sheet, 1)))).rejects.toThrow(errors.SessionNotFound);
     await expect(collected(session.watch())).rejects.toThrow(errors.SessionNotFound);
@@ -293,6 +349,20 @@ describe("errors have the server's names", () => {
     const cleaned = await client.createSession({ ...sheet, faces }, { clean: true });
     expect(cleaned.vertexMap).toEqual(Uint32Array.from({ length: 144 }, (_, i) => i));
     await cleaned.delete();
+  });
+
+  test("a client that was closed", async () => {
+    const closed = await connect(service.http);
+    const opened = await closed.openSession(session.sessionId);
+    closed.close();
+    for (const call of [
+      () => closed.serverInfo(),
+      () => closed.createSession(sheet),
+      () => opened.info(),
+      () => collected(opened.track(sheetFrames(sheet, 1))),
+      () => collected(opened.watch()),
+    ])
+      await expect(call()).rejects.toThrow(new errors.FailedPrecondition("the client is closed"));
   });
 
   test("a server that is not there", async () => {

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ddakf_api.arrays import checked_array
 from ddakf_api.errors import CodecError
 
 
@@ -19,9 +20,10 @@ def checked_colors(colors: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     Raises:
         CodecError: another shape or type.
     """
-    colors = np.asarray(colors)
+    expected = f"uint8 of shape {shape}"
+    colors = checked_array("colors", colors, expected=expected, kinds="u", columns=None, error=CodecError)
     if colors.shape != shape or colors.dtype != np.uint8:
-        raise CodecError(field="colors", expected=f"uint8 of shape {shape}", got=f"{colors.dtype} of shape {colors.shape}")
+        raise CodecError(field="colors", expected=expected, got=f"{colors.dtype} of shape {colors.shape}")
     return colors
 
 

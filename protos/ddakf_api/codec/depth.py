@@ -81,7 +81,7 @@ def encode_depth(
     """
     if codec not in DEPTH_CODECS:
         raise CodecError(field="depth_codec", expected=" or ".join(DEPTH_CODECS), got=repr(codec)[:80])
-    depth = _image("depth", depth, "fu")
+    depth = _image("depth", depth, np.typecodes["Float"] + "BH", "floats, uint16 or uint8")
     lens = checked_array("intrinsics", intrinsics, expected="fx, fy, cx, cy", columns=None, error=CodecError)
     if lens.shape != (4,):
         raise CodecError(field="intrinsics", expected="fx, fy, cx, cy", got=f"numbers of shape {lens.shape}")
@@ -101,11 +101,12 @@ def encode_depth(
     byte_codec = DEPTH_CODECS[codec if codec != "rvl" else "zstd"]
     if mask is not None:
         message.mask_compression = byte_codec
-        message.mask = _compress((_image("mask", mask, "biu", depth.shape) != 0).astype(np.uint8), byte_codec)
+        mask = _image("mask", mask, np.typecodes["AllInteger"] + "?", "whole numbers or bools", depth.shape)
+        message.mask = _compress((mask != 0).astype(np.uint8), byte_codec)
     if confidence is not None:
         if isinstance(min_confidence, bool) or min_confidence not in range(256):
             raise CodecError(field="min_confidence", expected="a whole number from 0 to 255", got=str(min_confidence)[:40])
-        confidence = _image("confidence", confidence, "u", depth.shape)
+        confidence = _image("confidence", confidence, "BH", "uint8 or uint16", depth.shape)
         if confidence.size and confidence.max() > 255:
             raise CodecError(field="confidence", expected="numbers up to 255, uint8", got=str(confidence.max()))
         message.confidence_compression, message.min_confidence = byte_codec, int(min_confidence)
@@ -244,10 +245,10 @@ def _pose_rows(pose: np.ndarray) -> list[float]:
     return pose[:3].ravel().tolist()
 
 
-def _image(name: str, image: np.ndarray, kinds: str, shape: tuple[int, int] | None = None) -> np.ndarray:
-    image = checked_array(name, image, expected="an image of shape (H, W)", kinds="biuf", columns=None, error=CodecError)
-    fits = image.ndim == 2 and image.size and (shape is None or image.shape == shape)
-    if fits and image.dtype.kind in kinds and (image.dtype.kind != "u" or image.dtype.itemsize <= 2):
+def _image(name: str, image: np.ndarray, types: str, named: str, shape: tuple[int, int] | None = None) -> np.ndarray:
+    """The image, if it has this shape, and a type of these characters of NumPy, which errors call ``named``."""
+    expected = f"{named} of shape {shape or '(H, W)'}"
+    image = checked_array(name, image, expected=expected, kinds="biuf", columns=None, error=CodecError)
+    if image.ndim == 2 and image.size and image.shape == (shape or image.shape) and image.dtype.char in types:
         return image
-    expected = "floats, uint16 or uint8 of shape (H, W)" if shape is None else f"whole numbers or bools of shape {shape}"
     raise CodecError(field=name, expected=expected, got=f"{image.dtype} of shape {image.shape}")

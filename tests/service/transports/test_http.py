@@ -196,3 +196,10 @@ def test_a_token_belongs_to_its_filter():
     for change in ({"states": [1]}, {"labels": {"a": "1"}}, {"labels": {"a": "1", "b": "3"}}, {}):
         with pytest.raises(InvalidArgument, match="page_token: expected a token of the same states and labels"):
             position_after(pb.ListSessionsRequest(page_token=token, **change))
+
+
+@pytest.mark.parametrize("path", ["/v1/sessions/", "/v1/meshes/", "/v1/info/", "/docs/"])
+def test_a_slash_at_the_end_is_another_address(http, path):
+    """A redirection would answer a call of a session without an id with the list of sessions."""
+    answer = http.get(path)
+    assert (answer.status_code, answer.json()["error"]["name"]) == (404, "NotFound")

@@ -30,12 +30,12 @@ export class Encoder {
     this.closed = true;
     this.thread?.close();
     this.thread = undefined;
-    this.rejectAll(new Cancelled("the client was closed"));
+    this.rejectAll(new Cancelled("the client is closed"));
   }
 
   private run(task: Task): Promise<Encoded> {
     if (!this.inWorker) return perform(task);
-    if (this.closed) return Promise.reject(new Cancelled("the client was closed"));
+    if (this.closed) return Promise.reject(new Cancelled("the client is closed"));
     const thread = (this.thread ??= this.start());
     const id = this.nextId++;
     return new Promise((resolve, reject) => {

@@ -38,7 +38,7 @@ export class Exchange {
   lost = false;
   /** No more frames will be offered. */
   exhausted = false;
-  /** Error that ends the stream early and is thrown to the caller. */
+  /** Error that is thrown to the caller, the first one: of the source, or one that ends the stream early. */
   failure: Error | undefined;
   /** Frames replaced by a newer one in the slot. */
   dropped = 0;
@@ -48,6 +48,7 @@ export class Exchange {
   limit = IN_FLIGHT;
 
   private readonly lossless: boolean;
+  private endsEarly = false; // nothing more is sent
   private nextSequence = 1;
   private slot: Offered | undefined;
   private refused: FrameError[] = [];
@@ -91,6 +92,12 @@ export class Exchange {
     this.slot = { sequence: this.nextSequence++, frame, submitted: now };
   }
 
+  /** Ends the stream early. */
+  fail(error: Error): void {
+    this.endsEarly = true;
+    this.failure ??= error;
+  }
+
   canTake(): boolean {
     return this.started && Boolean(this.slot ?? this.resend.length) && this.inFlight + this.unread < this.limit;
   }
@@ -118,7 +125,7 @@ export class Exchange {
 
   /** Whether nothing more will be sent. */
   isDone(): boolean {
-    return this.failure !== undefined || (this.exhausted && this.queued === 0 && !this.lost);
+    return this.endsEarly || (this.exhausted && this.queued === 0 && !this.lost);
   }
 
   /** Marks the end of the requests as sent: the server owes the end of the stream. */
@@ -131,7 +138,7 @@ export class Exchange {
     if (!this.unanswered.delete(offered.sequence)) return; // the connection was lost meanwhile: it will be tried again
     error.sequence = offered.sequence;
     if (this.plan.onError === "throw") {
-      this.failure ??= error;
+      this.fail(error);
       return;
     }
     const timestamp: unknown = (offered.frame as Partial<Frame> | undefined)?.timestamp;
@@ -166,7 +173,7 @@ export class Exchange {
   /**
    * The last answers after the server has ended the stream without an error.
    *
-   * @throws Unavailable: a frame has no answer.
+   * @throws Unavailable: a frame has no answer. The error of a refused frame or of the source.
    */
   ended(): FrameError[] {
     if (this.failure !== undefined) throw this.failure;
@@ -194,7 +201,7 @@ export class Exchange {
    */
   mayResume(error: unknown, now: number, untried = 0): boolean {
     const connectionLost = error instanceof Unavailable || error instanceof Draining;
-    if (this.failure !== undefined || !connectionLost) return false;
+    if (this.endsEarly || !connectionLost) return false;
     if (!(this.started || this.lost)) return untried > 0;
     if (!this.lost) {
       this.lost = true;
@@ -314,7 +321,7 @@ export class Exchange {
       this.forget(refused.sequence - 2 * IN_FLIGHT);
     }
     if (this.plan.onError === "throw") {
-      this.failure ??= refused.error;
+      this.fail(refused.error);
       return [];
     }
     return [...this.takeRefused(refused.sequence), refused];

@@ -58,8 +58,9 @@ export class Line {
   }
 
   /** Sends, unless the server is closing: browsers complain on the console then, and the end is reported anyway. */
-  send(request: TrackRequest): void {
-    if (this.socket.readyState === OPEN) this.socket.send(toBinary(TrackRequestSchema, request));
+  send(request: TrackRequest | Uint8Array): void {
+    const bytes = request instanceof Uint8Array ? request : toBinary(TrackRequestSchema, request);
+    if (this.socket.readyState === OPEN) this.socket.send(bytes);
   }
 
   /** Ends the requests; the server answers those that it has and closes. */

@@ -1,11 +1,11 @@
 /** Stream: the exchange with a WebSocket, which is opened again after it was lost, and the iterator of its answers. */
-import { create } from "@bufbuild/protobuf";
+import { create, toBinary } from "@bufbuild/protobuf";
 import type { Encoder } from "../encoder/encoder.js";
-import { DeadlineExceeded, InvalidFrame, ServiceError, Unavailable } from "../errors.js";
+import { DeadlineExceeded, InvalidFrame, MessageTooLarge, ServiceError, Unavailable } from "../errors.js";
 import { Answers } from "./answers.js";
 import { Exchange, type Answer } from "./exchange.js";
 import { held, toMessage, type Frame } from "../frames.js";
-import { TrackRequestSchema, type TrackResponse } from "../gen/ddakf_api/v1/tracking_pb.js";
+import { TrackRequestSchema, type Frame as FrameMessage, type TrackResponse } from "../gen/ddakf_api/v1/tracking_pb.js";
 import { Line } from "./line.js";
 import { Meter } from "./meter.js";
 import type { Plan } from "./plan.js";
@@ -29,6 +29,8 @@ export interface Connection {
   readonly others: number;
   /** Opens the session's stream. */
   openLine(name: string, events: ConstructorParameters<typeof Line>[2]): Line;
+  /** Largest message that the server accepts, bytes; 0: unknown. */
+  readonly maxMessageBytes: number;
   /** Throws the reason why the handshake of a WebSocket failed, which the browser hides; returns if there is none. */
   probe(name: string): Promise<void>;
   /** Sends later calls to the server of a reconnect notice. */
@@ -172,12 +174,15 @@ export class Stream {
   // Tasks --------------------------------------------------------------------------------------------------------------
 
   private async pull(source: AsyncIterator<Frame>): Promise<void> {
-    for (;;) {
-      if (!(await this.waiting.until(() => this.exchange.canOffer()))) return;
-      const next = await source.next();
-      if (next.done) break;
-      this.exchange.offer(held(next.value), now());
-      this.waiting.changed();
+    try {
+      while (await this.waiting.until(() => this.exchange.canOffer())) {
+        const next = await source.next();
+        if (next.done) break;
+        this.exchange.offer(held(next.value), now());
+        this.waiting.changed();
+      }
+    } catch (error) {
+      this.exchange.failure ??= asError(error); // thrown once the frames before it have their answers
     }
     this.exchange.exhausted = true;
     this.waiting.changed();
@@ -204,7 +209,9 @@ export class Stream {
     this.waiting.changed();
     try {
       const value = await toMessage(offered.frame, offered.sequence, this.plan, this.connection.encoder);
-      if (number === this.lines) this.line!.send(create(TrackRequestSchema, { message: { case: "frame", value } }));
+      const request = toBinary(TrackRequestSchema, create(TrackRequestSchema, { message: { case: "frame", value } }));
+      requireWithin(request, value, this.connection.maxMessageBytes);
+      if (number === this.lines) this.line!.send(request);
     } catch (error) {
       if (this.waiting.isOver()) return;
       this.exchange.refuse(offered, error instanceof ServiceError ? error : unusable(error));
@@ -251,8 +258,7 @@ export class Stream {
   }
 
   private fail(error: unknown): void {
-    const failure = error instanceof Error ? error : new Error(String(error), { cause: error });
-    this.exchange.failure ??= failure;
+    this.exchange.fail(asError(error));
     this.answers.fail(this.exchange.failure);
     this.waiting.changed();
   }
@@ -261,6 +267,17 @@ export class Stream {
     this.line?.close();
     this.waiting.end();
   }
+}
+
+function asError(error: unknown): Error {
+  return error instanceof Error ? error : new Error(String(error), { cause: error });
+}
+
+/** Refuses what would end the stream, and with it earlier answers. */
+function requireWithin(request: Uint8Array, { payload }: FrameMessage, most: number): void {
+  if (most === 0 || request.length <= most) return;
+  const field = payload.case === "depthImage" ? "depth" : "points";
+  throw new MessageTooLarge("", { field, expected: `a message of at most ${most} bytes`, got: `${request.length} bytes` });
 }
 
 function unusable(error: unknown): InvalidFrame {

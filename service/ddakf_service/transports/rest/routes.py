@@ -157,6 +157,7 @@ def create_app(sessions: Sessions, settings: Settings, metrics: Metrics, not_rea
         openapi_url=None,
         docs_url=None,
         redoc_url=None,
+        redirect_slashes=False,
     )
     add_error_handlers(app)
     _add_document_routes(app)
