@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +10,8 @@ from dataclasses import replace
 
 from ddakf.errors import FrameTooCostly, InvalidArgument, is_number, shown
 from ddakf.results import FrameResult
+
+LONGEST = 1e12  # s, of a budget
 
 
 class Clock:
@@ -21,12 +22,12 @@ class Clock:
         limit: processor seconds of this thread. The stage that exceeds it raises ``FrameTooCostly`` at its end.
 
     Raises:
-        InvalidArgument: a budget that is no finite positive number, a limit that is none.
+        InvalidArgument: a budget that is no positive number, or beyond LONGEST, a limit that is none.
     """
 
     def __init__(self, budget: float | None = None, limit: float = math.inf) -> None:
-        if budget is not None and not (is_number(budget) and 0 < budget <= sys.float_info.max):
-            raise InvalidArgument("budget", "finite processor seconds above 0, or None", shown(budget))
+        if budget is not None and not (is_number(budget) and budget > 0 and abs(budget) < LONGEST):
+            raise InvalidArgument("budget", f"processor seconds above 0 and below {LONGEST:g}, or None", shown(budget))
         if not is_number(limit) or math.isnan(limit):
             raise InvalidArgument("limit", "processor seconds", shown(limit))
         self.budget, self._limit = budget, limit

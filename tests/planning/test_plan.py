@@ -184,10 +184,10 @@ def test_a_prediction_is_registered_where_a_search_would_fit(processor, monkeypa
     assert budget is None or tracker._track.costs.search == before.search
 
 
-@pytest.mark.parametrize("budget", [0.0, -1.0, float("nan"), "fast"])
+@pytest.mark.parametrize("budget", [0.0, -1.0, float("nan"), float("inf"), 10**400, "fast"])
 def test_a_budget_is_a_positive_number(budget):
     tracker = Tracker(GARMENT)
     before = tracker.snapshot()
-    with pytest.raises(InvalidArgument, match="budget: expected finite processor seconds above 0"):
+    with pytest.raises(InvalidArgument, match="budget: expected processor seconds above 0"):
         tracker.step(shaken(0), timestamp=0.0, budget=budget)
     assert tracker.snapshot() == before
