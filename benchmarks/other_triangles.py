@@ -10,21 +10,17 @@ benchmarks/results/other_triangles.json unless ``--out`` says otherwise; ``--tab
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
-import multiprocessing
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+import clips
 import numpy as np
-from committed import parsed
-from conditions import FIRST, FRAMES, INSIDE, add_recordings, geometric, recordings
+from conditions import FIRST, INSIDE, geometric
 from triangulations import subdivided
 
 import ddakf
-from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors import Sensor
 from ddakf.files.sequence import Sequence
@@ -109,27 +105,7 @@ def table(rows: list[dict]) -> list[str]:
 
 def main(argv: list[str] | None = None) -> int:
     """Runs and prints; returns the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    add_recordings(parser)
-    parser.add_argument("--frames", type=int, default=FRAMES)
-    parser.add_argument("--procs", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=RESULT, metavar="JSON")
-    parser.add_argument("--table", action="store_true", help="print that file in Markdown, and track nothing")
-    arguments = parsed(parser, argv)
-    if arguments.table:
-        print("\n".join(table(json.loads(arguments.out.read_text())["rows"])))
-        return 0
-    jobs = list(itertools.product(recordings(parser, arguments), VIEWS, [arguments.frames]))
-    rows = []
-    with multiprocessing.get_context("spawn").Pool(arguments.procs) as pool:
-        for found in pool.imap(run, jobs):
-            rows += found
-            print(f"{found[0]['recording']}, {len(rows)} of {len(TEMPLATES) * len(jobs)}", file=sys.stderr, flush=True)
-    head = {"commit": machine.commit(), "held_out": arguments.held_out, "frames": arguments.frames}
-    lines = ",\n".join(f"  {json.dumps(row)}" for row in rows)
-    arguments.out.write_text(f'{json.dumps(head)[:-1]}, "rows": [\n{lines}\n]}}\n')
-    print("\n".join(table(rows)))
-    return 0
+    return clips.main(argv, __doc__.splitlines()[0], RESULT, run, VIEWS, table)
 
 
 if __name__ == "__main__":  # the workers are spawned: they import this file

@@ -48,7 +48,9 @@ def test_a_benchmark_that_is_told_where_to_write_does_too(name, option, dirty, m
 
 
 def test_all_benchmarks_that_write_a_result_are_tried():
-    writing = {path.stem for path in RESULTS.parent.glob("*.py") if "committed import parsed" in path.read_text()}
+    texts = {path.stem: path.read_text() for path in RESULTS.parent.glob("*.py")}
+    texts.pop("clips")  # the command of two of them
+    writing = {name for name, text in texts.items() if "committed import parsed" in text or "clips.main(" in text}
     assert writing == {*BY_ITSELF, *WHERE_TOLD, "scaling"}
-    naming = {path.stem for path in RESULTS.parent.glob("*.py") if "machine.commit()" in path.read_text()}
+    naming = {name for name, text in texts.items() if "machine.commit()" in text}
     assert naming <= writing

@@ -125,6 +125,7 @@ def read_mesh(path) -> tuple[np.ndarray, np.ndarray]:
     suffix = path.suffix.lower()
     if suffix in (".ply", ".obj"):
         vertices, polygons = read_ply(path)[:2] if suffix == ".ply" else _read_obj(path)
+        vertices = _finite(path, vertices)
         faces = triangles(vertices, polygons)
     elif suffix in POINT_SUFFIXES:
         raise InvalidFile(str(path), f"a mesh format such as {', '.join(MESH_SUFFIXES[:2])}", suffix)
@@ -132,7 +133,7 @@ def read_mesh(path) -> tuple[np.ndarray, np.ndarray]:
         from ddakf.files import open3d_bridge
 
         vertices, faces = open3d_bridge.read_mesh(path)
-    vertices = _finite(path, vertices)
+        vertices = _finite(path, vertices)
     if len(faces) == 0:
         raise InvalidFile(f"{path.name}: faces", "at least one face", "none")
     if faces.min() < 0 or faces.max() >= len(vertices):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-MOST_CORNERS = 5000  # of a polygon whose ears are searched: seconds
+MOST_CORNERS = 500  # of a polygon whose ears are searched, which takes seconds at worst; a larger one is fanned
 
 
 def triangles(vertices: np.ndarray, polygons: list[np.ndarray]) -> np.ndarray:

@@ -118,12 +118,17 @@ def _without_pinches(mesh: Mesh) -> tuple[Mesh, np.ndarray]:
 
 def _without_pinholes(mesh: Mesh, original: np.ndarray, edge: float) -> tuple[Mesh, np.ndarray]:
     """The mesh with faces over openings that are no larger than a triangle of the wanted one; ``original`` stays as it is."""
-    largest = min(3.0 * edge, _around_a_pinhole(mesh))
-    taken, fans = set(map(tuple, mesh.edges.tolist())), []
-    for loop in boundary_loops(mesh):
+    largest, fans = min(3.0 * edge, _around_a_pinhole(mesh)), []
+    small = [loop for loop in boundary_loops(mesh) if _arc(mesh, loop)[-1] < largest]
+    if not small:
+        return mesh, original
+    around = np.zeros(mesh.n_vertices, bool)
+    around[np.concatenate(small)] = True
+    taken = set(map(tuple, mesh.edges[around[mesh.edges].all(axis=1)].tolist()))
+    for loop in small:
         fan = np.stack([np.full(len(loop) - 2, loop[0]), loop[2:], loop[1:-1]], axis=1)
         across = set(map(tuple, np.sort(fan[1:, [0, 2]], axis=1).tolist()))  # its inner edges
-        if _arc(mesh, loop)[-1] < largest and not across & taken:
+        if not across & taken:
             taken |= across
             fans.append(fan)
     try:
