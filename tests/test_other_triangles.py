@@ -4,7 +4,7 @@ import numpy as np
 import other_triangles
 import pytest
 from conditions import RECORDINGS
-from other_triangles import TEMPLATES, VIEWS
+from other_triangles import DIAGONALS, METHODS, OWN, TEMPLATES, VIEWS
 
 from ddakf import Mesh
 from ddakf.evaluation.datasets import collection
@@ -22,10 +22,13 @@ def test_other_diagonals_are_another_mesh_of_the_same_vertices():
     assert len(same) < 0.7 * mesh.n_faces
 
 
-def test_a_run_has_a_row_for_every_template_and_its_table_a_line_for_every_garment():
-    rows = [row for view in VIEWS for row in other_triangles.run((RECORDINGS[-1], view, 2))]
-    assert [row["template"] for row in rows] == [*TEMPLATES] * len(VIEWS)
+@pytest.mark.slow
+def test_a_run_has_a_row_for_every_template_and_its_tables_a_line_for_every_garment_and_method():
+    view, *rest = VIEWS
+    rows = [row for method in METHODS for row in other_triangles.run((RECORDINGS[-1], (view, method), 1))]
+    rows += [row for other in rest for row in other_triangles.run((RECORDINGS[-1], (other, "ddakf"), 1))]
+    of_view = [("ddakf", title) for title in TEMPLATES] + [(m, title) for m in ("nicp", "opt-ed") for title in (OWN, DIAGONALS)]
+    assert [(row["method"], row["template"]) for row in rows] == of_view + of_view[: len(TEMPLATES)] * len(rest)
     assert all(0 < row["rmse_mm"] < 40 for row in rows)
-    lines = other_triangles.table(rows)
-    assert len(lines) == 4
-    assert len({line.count("|") for line in lines}) == 1
+    assert len(other_triangles.of_garments([row for row in rows if row["method"] == "ddakf"])) == 4
+    assert len(other_triangles.of_methods([{**row, "view": other} for row in rows for other in VIEWS])) == 2 + len(METHODS)
