@@ -137,9 +137,7 @@ def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
 
 
 def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
-    """The inverse of :func:`parts`; the tracker keeps the arrays.
-
-    ``kind`` is the class of trackers, or makes one with its arguments.
+    """The inverse of :func:`parts`, of trackers of class ``kind``; the tracker keeps the arrays.
 
     Raises:
         InvalidSnapshot: parts that do not fit together.

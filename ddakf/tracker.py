@@ -16,7 +16,7 @@ from ddakf.body import body_anchor, contact
 from ddakf.config import Config
 from ddakf.errors import InvalidArgument, InvalidConfig, InvalidMesh, is_number, shown
 from ddakf.garment import model, working_mesh
-from ddakf.mesh import Mesh, same_mesh
+from ddakf.mesh import Mesh
 from ddakf.multiresolution import cluster_alignment, follow
 from ddakf.physics import adaptive_stiffness, energies, rigidity, size
 from ddakf.planning import omission, plan
@@ -41,11 +41,15 @@ from ddakf.types import (
     variances,
 )
 
+# of all trackers in this process: they are large, take long to build, and never change
+_CONSTANTS: WeakValueDictionary[tuple[bytes, bytes | None, Config], Discretised] = WeakValueDictionary()
+
 
 class Tracker:
     """Tracks a garment through point clouds.
 
-    The first tracker of a process loads the kernels: half a second, or minutes where the cache lacks them.
+    The first tracker of a process loads the kernels: half a second, or minutes where the cache lacks them. Trackers of equal
+    garments, bodies and configurations share what is constant, such as the working mesh, while one of them lives.
 
     Args:
         garment: its vertices are the rest shape, and where tracking starts unless :meth:`reset` says otherwise.
@@ -68,7 +72,6 @@ class Tracker:
         self.config = Config() if config is None else config
         self.garment, self.body = garment, body
         self._discretised = _constants(garment, body, self.config)
-        self._shared = WeakValueDictionary({self.config: self._discretised})  # of all trackers that have come from this one
         self.reset()
         first_frame.load_kernels(Tracker, self.config, body is not None)
 
@@ -224,10 +227,8 @@ class Tracker:
         """
         if not isinstance(config, Config):
             raise InvalidConfig("config", "a ddakf.Config", type(config).__name__)
-        other, constants = copy.copy(self), self._shared.get(config)
-        if constants is None:
-            constants = self._shared[config] = _constants(self.garment, self.body, config, self._setup)
-        other.config, other._discretised = config, constants
+        other = copy.copy(self)
+        other.config, other._discretised = config, _constants(self.garment, self.body, config, self._setup)
         other.reset()
         return other
 
@@ -242,7 +243,7 @@ class Tracker:
         """
         if not isinstance(other, Tracker):
             raise InvalidArgument("other", "a ddakf.Tracker", type(other).__name__)
-        if not (same_mesh(self.garment, other.garment) and same_mesh(self.body, other.body)):
+        if _meshes(self.garment, self.body) != _meshes(other.garment, other.body):
             raise InvalidArgument("other", "a tracker of the same garment and body", "one of others")
         track, config = other._track, self.config
         if config.discretisation != other.config.discretisation:
@@ -272,8 +273,24 @@ class Tracker:
         return snapshots.load(data, Tracker)
 
 
+def _meshes(garment: Mesh, body: Mesh | None) -> tuple[bytes, bytes | None]:
+    """What tells a garment and its body from others."""
+    return garment.digest, None if body is None else body.digest
+
+
 def _constants(garment: Mesh, body: Mesh | None, config: Config, known: Setup | None = None) -> Discretised:
-    """What is constant for a tracker; ``known`` is that of the same body, whose search tree is used again."""
+    """What is constant for a tracker: of another tracker with the same meshes and configuration, or built.
+
+    ``known`` is that of the same body, whose search tree is used again.
+    """
+    key = (*_meshes(garment, body), config)
+    found = _CONSTANTS.get(key)
+    if found is None:
+        found = _CONSTANTS[key] = _discretised(garment, body, config, known)
+    return found
+
+
+def _discretised(garment: Mesh, body: Mesh | None, config: Config, known: Setup | None) -> Discretised:
     working = working_mesh.build(garment, config.discretisation)
     cloth, under = model.build(working.mesh, config), None
     if body is not None:

@@ -1,5 +1,7 @@
 """A track goes on by a tracker of another configuration, on a coarser or a finer working mesh."""
 
+import weakref
+
 import numpy as np
 import pytest
 
@@ -121,7 +123,8 @@ def test_another_tracker_shares_what_is_constant_and_no_track(view, body):
     tracker, first = tracked(body, view), started(body)
     other, coarse = tracker.another(tracker.config), tracker.configured(COARSE)
     assert other._discretised is tracker._discretised
-    assert other.another(COARSE)._discretised is coarse._discretised
+    assert other.another(COARSE)._discretised is coarse._discretised is started(body, COARSE)._discretised
+    assert tracker._discretised is first._discretised is Tracker.restore(tracker.snapshot())._discretised
     assert not body or coarse._setup.body.tree is tracker._setup.body.tree
     other.reset(SAMPLE.garment_vertices[FIRST])
     for points, how, _ in frames(3, view, body):
@@ -129,11 +132,11 @@ def test_another_tracker_shares_what_is_constant_and_no_track(view, body):
 
 
 def test_constants_that_no_tracker_has_are_given_up():
-    tracker = started(False)
+    tracker, known = Tracker(Mesh(1.01 * SHIRT.vertices, SHIRT.faces)), weakref.WeakSet()
     coarse = tracker.another(COARSE)
-    assert set(tracker._shared) == {Config(), COARSE}
+    known.update([tracker._discretised, coarse._discretised])
     del coarse
-    assert set(tracker._shared) == {Config()}
+    assert set(known) == {tracker._discretised}
 
 
 def test_a_tracker_of_another_garment_is_refused():

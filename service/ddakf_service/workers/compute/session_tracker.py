@@ -6,7 +6,6 @@ import logging
 from concurrent.futures import Executor, Future, wait
 
 import ddakf
-from ddakf.mesh import same_mesh
 
 log = logging.getLogger(__name__)
 
@@ -37,11 +36,6 @@ class SessionTracker:
     def has_lighter(self) -> bool:
         """There is a lighter tracker, or may be one: the lightest configurations and meshes of one's own have none."""
         return self._lighter is None or not self._lighter.done() or self._lighter.result() is not None
-
-    def another(self, garment: ddakf.Mesh, body: ddakf.Mesh | None, config: ddakf.Config) -> ddakf.Tracker | None:
-        """A tracker at the start that shares constants with this one; None if its garment or its body is another."""
-        alike = same_mesh(self._own.garment, garment) and same_mesh(self._own.body, body)
-        return self._own.another(config) if alike else None
 
     def of_frame(self, lighter: bool) -> ddakf.Tracker:
         """The tracker of the next frame: the session's own, or if wanted the lighter one as soon as it is built."""

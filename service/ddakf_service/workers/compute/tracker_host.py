@@ -73,7 +73,7 @@ class TrackerHost:
         session = creation.session
         garment, vertex_map = decode.garment(creation, limits.max_vertices, limits.max_faces)
         body = decode.body(session, limits.max_body_vertices, limits.max_faces)
-        tracker = self._tracker_of(garment, body=body, config=decode.config(session))
+        tracker = ddakf.Tracker(garment, body=body, config=decode.config(session))
         self._add(session_id, tracker)
         # built beside the first frames it would take time from those of all
         self._trackers[session_id].await_lighter(_PATIENCE)
@@ -82,7 +82,7 @@ class TrackerHost:
     def restore(self, session_id: str, request: bytes) -> bytes:
         """RestoreSessionRequest in, Session with its meshes out."""
         data = pb.RestoreSessionRequest.FromString(request).data
-        tracker = decode.tracker_from_snapshot(data, self._limits, self._tracker_of)
+        tracker = decode.tracker_from_snapshot(data, self._limits)
         self._add(session_id, tracker)
         return encode.session_message(tracker).SerializeToString()
 
@@ -145,13 +145,6 @@ class TrackerHost:
         prediction, trackers = result.usage.prediction, (session.is_lighter, session.has_lighter)
         spent = Spent(spent, prediction, self.busy.taken(), result.usage.widening, *trackers)
         return pack_result(numbers.SerializeToString(), arrays.SerializeToString(), spent)
-
-    def _tracker_of(self, garment: ddakf.Mesh, *, body: ddakf.Mesh | None, config: ddakf.Config) -> ddakf.Tracker:
-        """A new tracker; of a garment that another session has, with its constants, which are large and take long to build."""
-        for session in list(self._trackers.values()):  # another lane may change them meanwhile
-            if (tracker := session.another(garment, body, config)) is not None:
-                return tracker
-        return ddakf.Tracker(garment, body=body, config=config)
 
     def _add(self, session_id: str, tracker: ddakf.Tracker) -> None:
         """Adds a session. Where there are several, lighter trackers are built at once: they are needed when time is short."""

@@ -6,7 +6,6 @@ Every length is checked against its limit before memory is allocated; errors nam
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from contextlib import contextmanager
 
 import numpy as np
@@ -76,11 +75,8 @@ def _config_values(text: str) -> dict:
     return values
 
 
-def tracker_from_snapshot(data: bytes, limits: Limits, make: Callable[..., ddakf.Tracker] = ddakf.Tracker) -> ddakf.Tracker:
-    """The tracker of a snapshot, which ``make`` makes with the arguments of ``ddakf.Tracker``.
-
-    Meshes beyond the limits of a new session are rejected before anything is built.
-    """
+def tracker_from_snapshot(data: bytes, limits: Limits) -> ddakf.Tracker:
+    """The tracker of a snapshot. Meshes beyond the limits of a new session are rejected before anything is built."""
     numbers, arrays = snapshot.unpack(data)
     for name, maximum, elements in (
         ("garment_V", limits.max_vertices, "garment vertices"),
@@ -91,7 +87,7 @@ def tracker_from_snapshot(data: bytes, limits: Limits, make: Callable[..., ddakf
         count = np.size(arrays[name]) // 3 if name in arrays else 0
         if count > maximum:
             raise InvalidSnapshot(field="data", expected=f"at most {maximum} {elements}", got=str(count))
-    return snapshot.build(numbers, arrays, make)
+    return snapshot.build(numbers, arrays, ddakf.Tracker)
 
 
 def step_arguments(frame: pb.Frame, limits: Limits, draco: codec.DracoDecoder) -> dict:
