@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+from tests.lanes import every
+
 SCRIPT = """
 import sys
 
@@ -39,7 +41,7 @@ print(*sorted(f"{name} {signature}" for name, signature in loaded() - before), s
 
 @pytest.mark.parametrize(
     ("view", "with_body", "preset"),
-    [("full", False, ""), ("front", False, ""), ("front", True, ""), ("ring4", False, ""), ("full", False, "paper")],
+    every(3, [("front", True, ""), ("full", False, ""), ("front", False, ""), ("ring4", False, ""), ("full", False, "paper")]),
 )
 def test_no_frame_loads_a_kernel(view, with_body, preset):
     command = [sys.executable, "-c", SCRIPT, view, str(with_body), preset]

@@ -7,6 +7,7 @@ from ddakf import Config, Mesh
 from ddakf.garment import remeshing, working_mesh
 from ddakf.garment.remeshing import areas, boundary_loops, remesh, subdivided
 from tests.garment.shapes import centre_split, sheet, sieve, turned_about_y, turned_numbers
+from tests.lanes import every
 from tests.stages.scenes import tube
 from tests.tracker_runs import SHIRT
 
@@ -161,7 +162,7 @@ FINE = subdivided(SHIRT, 0.012)[0]
 
 @pytest.mark.parametrize(
     "mesh",
-    [missing(FINE, 2, pinched=True), missing(FINE, 100), with_belt_loops(FINE, 6)],
+    every(3, [missing(FINE, 2, pinched=True), missing(FINE, 100), with_belt_loops(FINE, 6)]),
     ids=["pinched", "100 missing triangles", "belt loops"],
 )
 def test_defects_of_a_fine_template_cost_it_no_even_mesh(mesh):

@@ -16,6 +16,7 @@ from ddakf.mesh import vertex_normals
 from ddakf.physics import rigidity, size
 from ddakf.stages.associate import RIM_NONE, RIM_WHOLE
 from ddakf.types import Health, Hem, Measurement
+from tests.lanes import every
 from tests.stages.scenes import FPS, problem_of, rms, scan, tube
 from tests.tracker_runs import SAMPLE, SHIRT, WEARER, assert_same
 
@@ -110,7 +111,7 @@ def test_noise_of_a_start_is_no_size():
     assert np.abs(size.at_start(noisy, GARMENT, NUMBERS)).max() < 0.3 * np.abs(strain_of(noisy)[0]).max()
 
 
-@pytest.mark.parametrize("scale", [[0.95, 0.95, 0.95], [1.05, 1.05, 1.05], [1.05, 0.98, 1.05]], ids=str)
+@pytest.mark.parametrize("scale", every(3, [[1.05, 0.98, 1.05], [0.95, 0.95, 0.95], [1.05, 1.05, 1.05]]), ids=str)
 def test_a_template_of_another_size_is_followed_nearly_as_the_right_one(scale):
     _, right = worn(1.0)
     tracker, errors = worn(np.array(scale))
