@@ -9,5 +9,9 @@ import pytest
 
 
 def every(step: int, values: Iterable[Any]) -> list[Any]:
-    """Parameters of a test: the first value and every ``step``-th after it in every run, the others in the slow lane."""
-    return [value if k % step == 0 else pytest.param(value, marks=pytest.mark.slow) for k, value in enumerate(values)]
+    """Parameters of a test: the first and every ``step``-th after it in every run, the others in the slow lane.
+
+    A tuple is of several arguments.
+    """
+    rows = [value if isinstance(value, tuple) else (value,) for value in values]
+    return [pytest.param(*row, marks=[pytest.mark.slow] if k % step else []) for k, row in enumerate(rows)]

@@ -81,13 +81,9 @@ def alone() -> float:
     return float(np.mean(errors))
 
 
-LOADS = [(4, 1.8, 28.0), (4, 3.2, 14.0), (6, 1.8, 18.0)]  # sessions, slowness, frames a second
-
-
-@pytest.mark.parametrize("load", every(3, LOADS), ids=str)
-def test_a_crowded_worker_tracks_every_session(alone, load):
+@pytest.mark.parametrize(("sessions", "slowness", "frames"), every(3, [(4, 1.8, 28.0), (4, 3.2, 14.0), (6, 1.8, 18.0)]))
+def test_a_crowded_worker_tracks_every_session(alone, sessions, slowness, frames):
     """Frames that are dropped make the next ones dearer, so that a load a little too large may end with hardly any answered."""
-    sessions, slowness, frames = load
     errors = errors_of(sessions, slowness)
     counts = [len(each) for each in errors]
     assert min(counts) > 0.9 * frames * SECONDS
