@@ -30,7 +30,6 @@ from ddakf.types import (
     BodyTrack,
     Drift,
     Estimate,
-    Evidence,
     FrameInput,
     Health,
     Posterior,
@@ -38,6 +37,7 @@ from ddakf.types import (
     Setup,
     State,
     Track,
+    UpdateTerms,
     variances,
 )
 
@@ -146,7 +146,7 @@ class Tracker:
             with clock("physics"):  # E. Physics (2.4)
                 forces = energies.linearize(problem, estimate)
             with clock("fuse"):  # F. Fusion update (2.4, 2.8)
-                estimate = fuse.fuse(problem, estimate, Evidence(measurement, weight, R, forces), gate)
+                estimate = fuse.fuse(problem, estimate, UpdateTerms(measurement, weight, R, forces), gate)
             if estimate.settled:
                 break
         with clock("uncertainty"):
