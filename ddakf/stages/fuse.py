@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.body import weight as cloth_weight
+from ddakf.body import gravity
 from ddakf.config import DecoupledUpdate, MapUpdate, NearestPoint, PlaneAssociation
 from ddakf.garment.slippage import least_normal_share, some_faces
 from ddakf.kernels import colour as colour_kernels
@@ -44,7 +44,7 @@ def begin(problem: Problem) -> Estimate:
         motion=rigidity.since(problem.motion_start, model, share * motion_weight),
         information=inverse_blocks(prior.P_pp, floor),
         terms=UpdateTerms(Measurement.none(n), np.zeros(n), prior.R, None),
-        gravity=cloth_weight.force(problem, rest.rotation),
+        gravity=gravity.force(problem, rest.rotation),
         bulge=_bulge(problem),
         yielding=_yielding(problem),
     )
@@ -274,7 +274,7 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
     if energies.collision is not None:
         kernels.add_single(*energies.collision, collision, D, force)
     if _all_around(problem):
-        cloth_weight.add_to_seen(problem, estimate.observed, force)
+        gravity.add_to_seen(problem, estimate.observed, force)
     elif estimate.gravity is not None:
         force[:, :3] += estimate.gravity
     if energies.self_collision is not None:

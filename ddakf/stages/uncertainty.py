@@ -18,11 +18,11 @@ from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
 from ddakf.config.stages import USUAL_RATE
 from ddakf.garment.slippage import fold_height, has_limbs, least_seen_turn, some_faces
-from ddakf.kernels import follow
 from ddakf.kernels import surface_points as point_kernels
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
+from ddakf.kernels.rigid_motion import moments
 from ddakf.kernels.uncertainty import MeasuredPlanes, PatchMeans, PatchSums
 from ddakf.physics.size import rest_length
 from ddakf.planning import omission
@@ -287,7 +287,7 @@ def _patch_statistics(problem: Problem, estimate: Estimate, weight: np.ndarray, 
 def _turned_with(before: np.ndarray, after: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(V, 3) metres: vertices ``before``, moved by the rigid motion of the ``seen`` (V,) to ``after`` (Kabsch 1976)."""
     sums = np.empty((1, 16))
-    follow.moments(before, after, seen, np.zeros(len(seen), np.int32), sums)
+    moments(before, after, seen, np.zeros(len(seen), np.int32), sums)
     count, means = sums[0, 0], sums[0, 1:] / max(sums[0, 0], 1.0)
     if count < LEAST_TURNED:
         return before
