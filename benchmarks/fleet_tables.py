@@ -47,7 +47,7 @@ def need_table(report: dict) -> list[str]:
     nodes, places = math.ceil(n["worker_cores"] / NODE_CORES), math.ceil(n["gateways"] / GATEWAYS_OF_NODE)
     rows = [
         ("worker cores", f"{n['worker_cores']:,}", f"{nodes} nodes of {NODE_CORES} cores"),
-        ("worker memory", f"{n['worker_gigabytes']} GB", "and 0.25 GB per template or actor process"),
+        ("worker memory", f"{n['worker_gigabytes']} GB", "and 0.25 GB per fork server or actor"),
         ("gateways", f"{n['gateways']:,}", f"processes of one core each, {GATEWAYS_OF_NODE} to a node: {places} nodes"),
         ("gateway memory", f"{n['gateway_gigabytes']} GB", "and about 0.2 GB per process"),
         ("network in; out", f"{n['gigabits_per_second_in']:.0f} Gbit/s; {n['gigabits_per_second_out']:.0f} Gbit/s",

@@ -42,8 +42,8 @@ MODULES = {
     "no-clusters": ("multiresolution/cluster_alignment.py", "kernels/cluster_alignment.py"),
     "no-hems": ("kernels/hem.py",),
     "no-holding": ("body/body_anchor.py",),
-    "no-following": ("multiresolution/follow.py", "kernels/follow.py"),
-    "no-weight": ("body/weight.py",),
+    "no-following": ("multiresolution/hidden_cloth.py", "kernels/hidden_cloth.py"),
+    "no-weight": ("body/gravity.py",),
     "no-visibility": ("kernels/visibility.py",),
 }
 FIELDS = ("rmse_mm", "cpu_ms")

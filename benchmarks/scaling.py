@@ -87,7 +87,7 @@ def measured(script: traffic.Script) -> tuple[Figures, list[dict]]:
     """The figures, and the rows of killed workers that they come from."""
     with traffic.service(["--workers", "1"]) as process:
         first = asyncio.run(_streamed(process, script, 1, 15.0, 10.0))
-        before = _memory(process)  # with the pages of the template that any session copies
+        before = _memory(process)  # with the pages of the fork server that any session copies
         many = asyncio.run(_streamed(process, script, 8, 20.0, 2.0, keep=True))
         after = _memory(process)
         written = metrics_of(process)

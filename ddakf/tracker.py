@@ -17,7 +17,7 @@ from ddakf.config import Config
 from ddakf.errors import InvalidArgument, InvalidConfig, InvalidMesh, is_number, shown
 from ddakf.garment import model, working_mesh
 from ddakf.mesh import Mesh
-from ddakf.multiresolution import cluster_alignment, follow
+from ddakf.multiresolution import cluster_alignment, hidden_cloth
 from ddakf.physics import adaptive_stiffness, energies, rigidity, size
 from ddakf.planning import omission, plan
 from ddakf.planning.clock import Clock
@@ -30,7 +30,6 @@ from ddakf.types import (
     BodyTrack,
     Drift,
     Estimate,
-    Evidence,
     FrameInput,
     Health,
     Posterior,
@@ -38,6 +37,7 @@ from ddakf.types import (
     Setup,
     State,
     Track,
+    UpdateTerms,
     variances,
 )
 
@@ -149,7 +149,7 @@ class Tracker:
             with clock("physics"):  # E. Physics (2.4)
                 forces = energies.linearize(problem, estimate)
             with clock("fuse"):  # F. Fusion update (2.4, 2.8)
-                estimate = fuse.fuse(problem, estimate, Evidence(measurement, weight, R, forces), gate)
+                estimate = fuse.fuse(problem, estimate, UpdateTerms(measurement, weight, R, forces), gate)
             if estimate.settled:
                 break
         with clock("uncertainty"):
@@ -171,7 +171,7 @@ class Tracker:
             posterior = uncertainty.posterior(problem, estimate)
         posterior = uncertainty.widened(problem, estimate, posterior, verdict.widening)
         posterior = posterior._replace(state=predict.with_given_velocity(problem, posterior.state))
-        posterior, offset = follow.follow(problem, estimate, posterior)
+        posterior, offset = hidden_cloth.follow_seen(problem, estimate, posterior)
         track = _learned(self._setup, problem, estimate, posterior, verdict)._replace(offset=offset)
         result = _result(problem, estimate, posterior, verdict, track)
         return track, self._working.result(result, track.rotation)

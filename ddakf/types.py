@@ -502,8 +502,8 @@ class Energies(NamedTuple):
     contacts: Contacts | None = None  # on the body, at this position
 
 
-class Evidence(NamedTuple):
-    """What stages B to E say about an estimate."""
+class UpdateTerms(NamedTuple):
+    """What stages B to E add to the update at an estimate: its measurement, and the forces of the cloth."""
 
     measurement: Measurement
     weight: np.ndarray  # (V,)
@@ -576,7 +576,7 @@ class Estimate(NamedTuple):
     rest: LocalRigidity
     motion: LocalRigidity
     information: np.ndarray  # (V, 3, 3) 1/m^2, of the prior as it enters the MAP problem
-    evidence: Evidence  # of the last pass
+    terms: UpdateTerms  # of the last pass
     gravity: np.ndarray | None = None  # (V, 3) 1/m, force of the cloth's weight; None: nothing tells what carries it
     bulge: np.ndarray | None = None  # (V, 3) m by which vertices stand out of their planes' patches; None: not known
     yielding: float = 1.0  # factor on the rigidity between frames at seen vertices, less where a garment slips along itself
@@ -594,12 +594,12 @@ class Estimate(NamedTuple):
     @property
     def observed(self) -> np.ndarray:
         """(V,) bool: a measurement passed the gate."""
-        return self.evidence.weight > 0
+        return self.terms.weight > 0
 
     @property
     def unmatched(self) -> float:
         """Share of the vertices that a sensor may see and that no measurement was found for."""
-        return float((self.evidence.measurement.visible & ~self.observed).mean())
+        return float((self.terms.measurement.visible & ~self.observed).mean())
 
     @property
     def learnable(self) -> np.ndarray:

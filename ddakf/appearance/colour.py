@@ -119,7 +119,7 @@ def register(problem: Problem, estimate: Estimate, measurement: Measurement) -> 
 
 def _before(estimate: Estimate) -> Slides:
     """A copy of the slides of the pass before; of the first pass, none."""
-    slide, n = estimate.evidence.measurement.slide, len(estimate.position)
+    slide, n = estimate.terms.measurement.slide, len(estimate.position)
     if slide is None:
         return Slides(np.zeros((2, n, 3)), np.full((2, n), np.inf), np.zeros((n, 3)), np.full((n, 3), FAR_AWAY))
     return Slides(*(array.copy() for array in slide.registered))
@@ -141,7 +141,7 @@ def conditioned(problem: Problem, estimate: Estimate, covariance: np.ndarray) ->
     Returns:
         (V,) m^2, variance in the tangent plane before; None where the frame has no colours.
     """
-    measurement = estimate.evidence.measurement
+    measurement = estimate.terms.measurement
     if not problem.coloured or measurement.normal is None:
         return None
     normal = measurement.normal
@@ -173,7 +173,7 @@ def learned(problem: Problem, estimate: Estimate, posterior: Posterior, reliabil
     registered2 = np.where(used, np.minimum(appearance.registered2, variance), appearance.registered2)
     most = np.where(np.isfinite(registered2), config.memory / registered2, 0.0)
     mean, weight, squares = appearance.mean.copy(), appearance.weight.copy(), np.empty(CHANNELS + 1)
-    planes = _planes(problem, estimate, estimate.evidence.measurement, appearance)._replace(position=place, used=used)
+    planes = _planes(problem, estimate, estimate.terms.measurement, appearance)._replace(position=place, used=used)
     patches = Patches(mean, weight, config.texel)
     kernels.learn(_points(problem.cloud), planes, patches, 1.0 / variance, most, config.depth, squares)
     noise2 = appearance.noise2
@@ -186,7 +186,7 @@ def learned(problem: Problem, estimate: Estimate, posterior: Posterior, reliabil
 def _start_variance(problem: Problem, estimate: Estimate) -> float:
     """Variance of the start along the surface, m^2, by how far the first frame has moved it across."""
     moved = estimate.position - problem.prior.position
-    across = np.einsum("va,va->v", estimate.evidence.measurement.normal, moved)[estimate.learnable]
+    across = np.einsum("va,va->v", estimate.terms.measurement.normal, moved)[estimate.learnable]
     return max(KNOWN, SIDEWAYS**2 * float(np.square(across).mean())) if len(across) else np.inf
 
 

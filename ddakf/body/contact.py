@@ -234,7 +234,7 @@ def learned(problem: Problem, estimate: Estimate, position: np.ndarray) -> BodyT
     vertices = track.vertices if pose is None else pose.vertices
     gap, intruded, observed = track.gap, track.intruded, estimate.learnable
     if gap is not None and estimate.contacts is not None and observed.any():
-        found, old, measurement = estimate.contacts.closest, np.exp(-problem.dt / config.gap_time), estimate.evidence.measurement
+        found, old, measurement = estimate.contacts.closest, np.exp(-problem.dt / config.gap_time), estimate.terms.measurement
         across = found.normal if measurement.normal is None else measurement.normal
         inside = kernels.intruded(position, observed, measurement.target, across, found, gap)
         pairs = zip(intruded, inside, strict=True)

@@ -78,7 +78,7 @@ def _measured(problem: Problem, estimate: Estimate, vertex: np.ndarray, gate: fl
     only = np.zeros(len(estimate.position), bool)
     only[vertex] = True
     measurement = associate.associate(problem, estimate, gate, only=only)
-    return estimate._replace(evidence=estimate.evidence._replace(measurement=measurement))
+    return estimate._replace(terms=estimate.terms._replace(measurement=measurement))
 
 
 def _needed(problem: Problem, estimate: Estimate) -> bool:
@@ -86,7 +86,7 @@ def _needed(problem: Problem, estimate: Estimate) -> bool:
 
     A cluster that moves drags hidden ones along, so that it decides only where most of the garment is seen.
     """
-    coarse, measurement, vertex = problem.config.coarse, estimate.evidence.measurement, problem.model.clusters.probe
+    coarse, measurement, vertex = problem.config.coarse, estimate.terms.measurement, problem.model.clusters.probe
     found = vertex[measurement.found[vertex]]
     if len(found) == 0:
         return False
@@ -114,7 +114,7 @@ def _solve(
     ``floor`` is the point and the normal, (V, 3) each, of the body's plane beside each vertex; None without a body. ``gate`` is
     the reach of points, metres, ``variance`` that of a measurement, m^2.
     """
-    model, config, position, measurement = problem.model, problem.config, estimate.position, estimate.evidence.measurement
+    model, config, position, measurement = problem.model, problem.config, estimate.position, estimate.terms.measurement
     clusters, physics, k = model.clusters, config.physics, model.n_clusters
     weight = robust.weigh(problem, estimate, measurement)
     A, b, center = np.zeros((6 * k, 6 * k)), np.zeros(6 * k), np.empty((k, 3))

@@ -24,7 +24,7 @@ def linearize(problem: Problem, estimate: Estimate) -> Energies:
     Bending is linearised once per frame: it is the dearest of the energies, and the angles change little from pass to pass.
     The pairs of self-collision are found once per frame as well.
     """
-    position, model, config, last = estimate.position, problem.model, problem.config.physics, estimate.evidence.forces
+    position, model, config, last = estimate.position, problem.model, problem.config.physics, estimate.terms.forces
     physics_lambda, contacts = problem.health.physics_lambda, estimate.contacts
     touching = layers = folded = None
     if config.self_collision > 0:

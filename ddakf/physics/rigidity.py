@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.body import weight as cloth_weight
+from ddakf.body import gravity
 from ddakf.config import Physics
 from ddakf.kernels import rigidity as kernels
 from ddakf.kernels.rigidity import LocalRigidity
@@ -45,7 +45,7 @@ def resting(position: np.ndarray, setup: Setup, size: np.ndarray | None = None, 
     shape = turned + share[:, None] * (edge - turned)
     metric = strain.metric_at_start(constants, position, kept, strain_sd)
     strained = strain.with_metric(constants, metric)
-    upward = cloth_weight.at_start(position, strained, setup)
+    upward = gravity.at_start(position, strained, setup)
     if not np.array_equal(size, first):
         now, constants = _of_size(model, size)
         shape += (along @ (now - rest_edge)[:, :, None])[:, :, 0]

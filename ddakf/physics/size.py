@@ -83,7 +83,7 @@ def hem_strain(problem: Problem, estimate: Estimate) -> float:
     Noise lets a cloud end farther out, so that hems tell only of a garment that is too large. What they have not in common,
     and strain at which they move now, as in a jump, makes it count less.
     """
-    hem, model = estimate.evidence.measurement.hem, problem.model
+    hem, model = estimate.terms.measurement.hem, problem.model
     if hem is None:
         return 0.0
     matrix, vector = np.diag([1e-12, ALIKE, ALIKE, ALIKE]), np.zeros(4)

@@ -36,6 +36,6 @@ def held(problem: Problem, estimate: Estimate, verdict: Verdict) -> tuple[Estima
     after, position = verdict.health, problem.prior.position
     health = problem.health._replace(state=after.state, spacing=after.spacing, reliability=after.reliability)
     contacts = None if estimate.contacts is None else contact.followed(problem, position)
-    evidence = estimate.evidence._replace(measurement=estimate.evidence.measurement._replace(hem=None))
-    kept = estimate._replace(position=position, contacts=contacts, evidence=evidence, rejected=True)
+    terms = estimate.terms._replace(measurement=estimate.terms.measurement._replace(hem=None))
+    kept = estimate._replace(position=position, contacts=contacts, terms=terms, rejected=True)
     return kept, verdict._replace(health=health)

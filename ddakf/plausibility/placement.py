@@ -84,7 +84,7 @@ def _of_several_sensors(problem: Problem) -> Sign | None:
 
 def narrow_mask(problem: Problem, estimate: Estimate) -> Sign | None:
     """The sign of a cloud that ends before the garment does wherever the camera looks along it."""
-    hem = estimate.evidence.measurement.hem
+    hem = estimate.terms.measurement.hem
     if hem is None or hem.belief > 0.0:
         return None
     gap = f"the gap beside its rim is {hem.rim_gap:.1f} times that of its other vertices"

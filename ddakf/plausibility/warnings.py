@@ -8,7 +8,7 @@ from typing import NamedTuple
 from ddakf.config import Config
 from ddakf.garment import seams
 from ddakf.mesh import Mesh
-from ddakf.plausibility import handedness, placement, sensor_poses, sidedness, units
+from ddakf.plausibility import orientation, placement, sensor_poses, sidedness, units
 from ddakf.results import InputWarning, WarningCode
 from ddakf.stages.reliability import Verdict
 from ddakf.types import Estimate, InputReference, Model, Problem, Sign
@@ -43,11 +43,11 @@ CHECKS: Mapping[WarningCode, Check] = {
     "time_unit": Check(units.time_unit, 2),
     "stale_clock": Check(units.stale_clock, 3),
     "clock_jump": Check(units.clock_jump, 1),
-    "upside_down": Check(handedness.upside_down, 1),
-    "heading_uncertain": Check(handedness.heading_uncertain, 1),
-    "wrong_up": Check(handedness.wrong_up, 1),
+    "upside_down": Check(orientation.upside_down, 1),
+    "heading_uncertain": Check(orientation.heading_uncertain, 1),
+    "wrong_up": Check(orientation.wrong_up, 1),
     "split_seams": Check(placement.split_seams, 1),
-    "mirrored": Check(handedness.mirrored, 5, spaced=True),
+    "mirrored": Check(orientation.mirrored, 5, spaced=True),
     "points_behind_sensor": Check(placement.points_behind_sensor, 2, spaced=True),
     "narrow_mask": Check(placement.narrow_mask, 10),
     "body_apart": Check(placement.body_apart, 3),
@@ -58,12 +58,12 @@ CHECKS: Mapping[WarningCode, Check] = {
 
 def reference(given: Mesh, garment: Model, body: Mesh | None, config: Config) -> InputReference:
     """What the frames of a garment are held against: the mesh as given, the garment that is tracked, and its body."""
-    sides, outward = sidedness.sides(garment, config.sidedness, config.start.to_y_up[1]), handedness.outward(garment.mesh)
+    sides, outward = sidedness.sides(garment, config.sidedness, config.start.to_y_up[1]), orientation.outward(garment.mesh)
     reference = InputReference(sides, outward, 1.0, given.split_edges, seams.gap(garment.mesh))
     if body is None:
         return reference
-    fallen = handedness.fallen(body, config.start.to_y_up)
-    return reference._replace(body_outward=handedness.outward(body), fallen_body=fallen)
+    fallen = orientation.fallen(body, config.start.to_y_up)
+    return reference._replace(body_outward=orientation.outward(body), fallen_body=fallen)
 
 
 def warned(problem: Problem, estimate: Estimate, verdict: Verdict) -> Verdict:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,72 +44,115 @@ def locate(problem: Problem) -> Problem:
     """The problem with its prior laid on the cloud where the tracker has no track; otherwise unchanged.
 
     A cloud that lies elsewhere is searched before the first fit, after a loss, and when the garment was out of sight or without
-    a fit lately. The search lays the last shape on the cloud, and beside it the template where that shape may be as wrong as the
-    place. In a cloud of more than the garment, such as a whole person's, it is repeated with what is the garment by colour or
-    place, as it was found. A relocalized garment is registered again in the ``settling_frames`` that follow. One that was out of
-    sight and is where it was predicted stays there, as certain as one that is found. A search that exceeds the frame's budget is
-    due in the next one. Without a body a prediction over a long step is registered as well, if it misses the cloud.
+    a fit lately. A relocalized garment is registered again in the ``settling_frames`` that follow. A search that exceeds the
+    frame's budget is due in the next one. Without a body a prediction over a long step is registered as well, if it misses the
+    cloud.
     """
-    prior, model, health, config = problem.prior, problem.model, problem.health, problem.config
-    rule = config.relocalization
+    health, allowed = problem.health, problem.effort.search
     if not due(problem):
-        return _caught_up(problem) if problem.effort.search and far_ahead(problem) else problem
-    after_gap = interrupted(health, problem.dt, rule)
-    searching = search_due(health, rule) or after_gap
-    if not problem.effort.search:
-        return problem._replace(health=health._replace(postponed=searching, settling=max(health.settling - 1, 0)))
-    if not searching:
+        return _catch_up(problem) if allowed and far_ahead(problem) else problem
+    search_now = search_due(health, problem.config.relocalization) or _after_gap(problem)
+    if not allowed:
+        return problem._replace(health=health._replace(postponed=search_now, settling=max(health.settling - 1, 0)))
+    if not search_now:
         return _settle(problem)
-    health = health._replace(postponed=False)
-    problem = problem._replace(health=health)
-    turn = config.start.to_y_up  # the search turns garments about y
-    shapes = [problem.motion_start @ turn.T]  # the last shape and not the predicted one: over a gap velocities tear it
-    if (health.unplaced and health.state != "initializing") or after_gap:
-        template = stretched(model.mesh.vertices, problem.last.size) @ turn.T
-        shapes.append(turned(template, turn_between(template, shapes[0])))  # its file says nothing of where the wearer faces
+    return _search(problem._replace(health=health._replace(postponed=False)))
+
+
+def _search(problem: Problem) -> Problem:
+    """The problem with its prior where a search finds the garment; unchanged where it does not.
+
+    A prediction that the cloud confirms is kept. Otherwise the search lays the last shape on the cloud, and beside it the
+    template where that shape may be as wrong as the place. In a cloud of more than the garment, such as a whole person's, it is
+    repeated with what is the garment by colour or place, as it was found.
+    """
+    config, rule, turn = problem.config, problem.config.relocalization, problem.config.start.to_y_up
     frame = segmentation.of_garment_colors(problem.frame, problem)
-    margin = config.skin_removal.cloth_distance
-    staying = _cost_of_staying(skin_removal.remove_skin(frame, problem, prior.position, margin), problem)
+    without_skin = skin_removal.remove_skin(frame, problem, problem.prior.position, config.skin_removal.cloth_distance)
+    staying = _cost_of_staying(without_skin, problem)
     if staying == OUT_OF_SIGHT:
         return problem
     if staying < rule.in_place_cost:
-        # a covariance that has grown out of sight would let each vertex follow its own points
-        return _found_at(problem, prior.position, prior.velocity) if health.empty_for > 0.0 or after_gap else problem
-    unseen = problem.dt + health.empty_for + health.poor_for
-    starting, given = health.state == "initializing", problem.resting is not None and problem.resting.given
-    doubt = rule.heading_doubt if starting and not given else 0.0  # a start that the caller gave faces as the wearer does
-    heading = HeadingPrior(math.radians(rule.heading_sd + rule.heading_rate * unseen), doubt)
-    frame, search = _search(frame, problem)
+        return _confirm_prediction(problem)
+    frame, search = _search_space(frame, problem)
     if len(frame.points) < config.start.least_points:
         return problem
-    found, cost, rival = _best(shapes, search, heading)
-    if cost > rule.in_place_cost:
+    shapes, heading = _shapes(problem), _heading_prior(problem)
+    fit = _best_fit(shapes, search, heading)
+    if fit.cost > rule.in_place_cost:
         problem = problem._replace(overturned=_overturned(shapes[-1], search, heading))
-    accepted = cost <= min(rule.cost_ratio * staying, rule.highest_cost)
-    part = _of_garment(frame, prior.position if math.isinf(cost) else found @ turn, problem)
-    if part is not frame:
-        again = _best(shapes, search._replace(target=_target(part, config)), heading)
-        narrowed = again[1] <= min(rule.cost_ratio * staying, rule.narrowed_cost)
-        if narrowed or again[1] < cost:
-            (found, cost, rival), accepted = again, accepted or narrowed
-    if not accepted:
-        return problem
-    found, unplaced = found @ turn, starting and not given
-    problem = _found_at(problem, found, np.zeros_like(found))
-    told = unplaced or not starting
-    if told and rival is not None:
+    accepted = fit.cost <= min(rule.cost_ratio * staying, rule.highest_cost)
+    place = problem.prior.position if math.isinf(fit.cost) else fit.position @ turn
+    garment = _of_garment(frame, place, problem)
+    if garment is not frame:
+        narrowed = _best_fit(shapes, search._replace(target=_target(garment, config)), heading)
+        narrowed_accepted = narrowed.cost <= min(rule.cost_ratio * staying, rule.narrowed_cost)
+        if narrowed_accepted or narrowed.cost < fit.cost:
+            fit, accepted = narrowed, accepted or narrowed_accepted
+    return _relocalize(problem, fit) if accepted else problem
+
+
+def _confirm_prediction(problem: Problem) -> Problem:
+    """The problem of a garment that is where it was predicted; one that was out of sight gets the covariance of a found one.
+
+    The covariance that has grown out of sight would let each vertex follow its own points.
+    """
+    if problem.health.empty_for > 0.0 or _after_gap(problem):
+        return _found_at(problem, problem.prior.position, problem.prior.velocity)
+    return problem
+
+
+def _shapes(problem: Problem) -> list[np.ndarray]:
+    """(V, 3) metres each: the shapes that are sought: the last one, and the template where that one may be torn.
+
+    The prediction is not sought: over a gap velocities tear it.
+    """
+    turn = problem.config.start.to_y_up
+    last = problem.motion_start @ turn.T
+    unplaced = problem.health.unplaced and problem.health.state != "initializing"
+    if not (unplaced or _after_gap(problem)):
+        return [last]
+    template = stretched(problem.model.mesh.vertices, problem.last.size) @ turn.T
+    # turned as the last shape: the template's file says nothing of where the wearer faces
+    return [last, turned(template, turn_between(template, last))]
+
+
+def _heading_prior(problem: Problem) -> HeadingPrior:
+    """How far the garment may have turned: the longer it was not seen the farther, and any way before the first fit."""
+    rule, health = problem.config.relocalization, problem.health
+    unseen = problem.dt + health.empty_for + health.poor_for
+    doubt = rule.heading_doubt if _start_unknown(problem) else 0.0
+    return HeadingPrior(math.radians(rule.heading_sd + rule.heading_rate * unseen), doubt)
+
+
+def _start_unknown(problem: Problem) -> bool:
+    """Whether there was no fit yet, and no start that the caller gave, which faces as the wearer does."""
+    given = problem.resting is not None and problem.resting.given
+    return problem.health.state == "initializing" and not given
+
+
+def _relocalize(problem: Problem, fit: Fit) -> Problem:
+    """The problem of a garment that is at rest where a search found it.
+
+    Another heading that suits the garment counts, unless the caller gave the start.
+    """
+    position = fit.position @ problem.config.start.to_y_up
+    rival = fit.rival if _start_unknown(problem) or problem.health.state != "initializing" else None
+    settling = problem.config.relocalization.settling_frames
+    problem = _found_at(problem, position, np.zeros_like(position))
+    if rival is not None:
         drift = problem.last.drift
         drift = drift._replace(unseen_turn=max(drift.unseen_turn, rival.expected))
         problem = problem._replace(last=problem.last._replace(drift=drift))
     return problem._replace(
-        motion_start=found,
-        rival=rival if told else None,
-        rotation=rigidity.rotations(found, model),
-        health=health.relocalized()._replace(settling=rule.settling_frames),
+        motion_start=position,
+        rival=rival,
+        rotation=rigidity.rotations(position, problem.model),
+        health=problem.health.relocalized()._replace(settling=settling),
     )
 
 
-def _search(frame: FrameInput, problem: Problem) -> tuple[FrameInput, Search]:
+def _search_space(frame: FrameInput, problem: Problem) -> tuple[FrameInput, Search]:
     """The points of a frame that may be of the garment, and the search in them.
 
     A worn garment is within FARTHEST of its body, and in the mean about as near to it as predicted; elsewhere is something else,
@@ -166,10 +210,8 @@ def _overturned(shape: np.ndarray, search: Search, prior: HeadingPrior) -> tuple
 
 def due(problem: Problem) -> bool:
     """Whether :func:`locate` has something to do: a search, or a registration after one."""
-    health, rule = problem.health, problem.config.relocalization
-    return _searchable(problem) and (
-        health.settling > 0 or search_due(health, rule) or interrupted(health, problem.dt, rule)
-    )
+    wanted = search_due(problem.health, problem.config.relocalization) or _after_gap(problem)
+    return _searchable(problem) and (wanted or problem.health.settling > 0)
 
 
 def far_ahead(problem: Problem) -> bool:
@@ -195,6 +237,11 @@ def interrupted(health: Health, dt: float, config: Relocalization) -> bool:
     return dt > max(config.shortest_gap, config.gap_ratio * health.spacing) and health.spacing > 0.0
 
 
+def _after_gap(problem: Problem) -> bool:
+    """Whether the frame comes after a gap of the stream."""
+    return interrupted(problem.health, problem.dt, problem.config.relocalization)
+
+
 def _settle(problem: Problem) -> Problem:
     """The problem of a garment that was found a few frames ago, its prior registered to the cloud."""
     prior, model, config = problem.prior, problem.model, problem.config
@@ -206,11 +253,11 @@ def _settle(problem: Problem) -> Problem:
     garment = _of_garment(garment, prior.position, problem)
     turn, settling = config.start.to_y_up, config.registration.settling()
     position = register(prior.position @ turn.T, _target(garment, config), model, settling) @ turn
-    prior = _moved(prior, position, config.relocalization.settling_sd)
+    prior = _with_position(prior, position, config.relocalization.settling_sd)
     return problem._replace(prior=prior, motion_start=position, rotation=rigidity.rotations(position, model), health=health)
 
 
-def _caught_up(problem: Problem) -> Problem:
+def _catch_up(problem: Problem) -> Problem:
     """The problem of a garment that was tracked, its prior registered to a cloud that it misses.
 
     What moves on its own is predicted badly over a long step, and passes over all vertices do not reach as far.
@@ -223,13 +270,13 @@ def _caught_up(problem: Problem) -> Problem:
         return problem
     target = _target(_of_garment(frame, prior.position, problem), config)
     position = register(prior.position @ turn.T, target, model, config.registration.catching_up()) @ turn
-    caught = problem._replace(prior=_moved(prior, position, rule.settling_sd))
+    caught = problem._replace(prior=_with_position(prior, position, rule.settling_sd))
     if not 0.0 <= _cost_of_staying(frame, caught) <= rule.cost_ratio * staying:  # nor is it hidden there
         return problem
     return caught._replace(motion_start=position, rotation=rigidity.rotations(position, model))
 
 
-def _moved(prior: State, position: np.ndarray, sd: float) -> State:
+def _with_position(prior: State, position: np.ndarray, sd: float) -> State:
     """The prior at a registered (V, 3) ``position``, metres, its velocity corrected by the change of the position.
 
     A garment is found at rest, and the fit that follows sees little more than the rest that registration left. Without this
@@ -272,7 +319,7 @@ def _cost_of_staying(garment: FrameInput, problem: Problem) -> float:
 
 
 def _cost_of_the_seen(frame: FrameInput, near: np.ndarray, problem: Problem) -> float:
-    """Metres: mean truncated distance garment to cloud, of the vertices that nothing hides from a sensor.
+    """Metres: mean truncated distance from the vertices that nothing hides from a sensor to the cloud.
 
     Where hardly a vertex is left, a garment that was tracked is :data:`OUT_OF_SIGHT` until it is lost. One that was not is behind
     what it should be, and all vertices that face a sensor count.
@@ -285,14 +332,14 @@ def _cost_of_the_seen(frame: FrameInput, near: np.ndarray, problem: Problem) -> 
     config, rule, model = problem.config.relocalization, problem.config.registration, problem.model
     scene, turn = _target(frame, problem.config), problem.config.start.to_y_up
     surface = Surface.from_garment(problem.prior.position @ turn.T, model, scene)
-    asking = surface.facing(scene)
+    asked = surface.facing(scene)  # 1 for each vertex that counts
     if scene.sensors is not None:
         limits = VisibilityLimits(rule.occluder_cell * model.edge_length, rule.hidden_depth, rule.facing_cosine)
         between = frame.points[spread_rows(len(near), rule.input_points)].astype(np.float64) @ turn.T - scene.origin
-        seen = np.empty(len(asking), bool)
+        seen = np.empty(len(asked), bool)
         mark_visible(surface.position, surface.normal, between, NO_SURFELS, NO_ORIGIN, scene.sensors, limits, seen)
-        if (asking * seen).sum() >= LEAST_SEEN * asking.sum():
-            asking *= seen
+        if (asked * seen).sum() >= LEAST_SEEN * asked.sum():
+            asked *= seen
         elif problem.health.state in ("tracking", "recovering"):
             return OUT_OF_SIGHT
     if not near.any():
@@ -300,48 +347,62 @@ def _cost_of_the_seen(frame: FrameInput, near: np.ndarray, problem: Problem) -> 
     target = _target(frame.only(near), problem.config)
     surface = surface._replace(position=surface.position + (scene.origin - target.origin))
     few, answers = rows(surface.sampled(config.cost_samples).position), np.ones(target.dense.shape[1], np.float32)
-    every = max(1, len(asking) // config.cost_samples)
-    return mean_distance(few, target.dense, np.ascontiguousarray(asking[::every]), answers, config.truncation)
+    every = max(1, len(asked) // config.cost_samples)
+    return mean_distance(few, target.dense, np.ascontiguousarray(asked[::every]), answers, config.truncation)
 
 
-def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tuple[np.ndarray, float, Rival | None]:
-    """The shape that fits the cloud best after registration, (V, 3) metres, its cost, and its :func:`_rival`.
+class Fit(NamedTuple):
+    """A shape that a search has laid on a cloud, in the world turned so that y points upward."""
 
-    The wrong heading may fit as well as the right one until both are registered. The cost is infinite where no candidate is on
-    the body: something else fits.
+    position: np.ndarray  # (V, 3) m
+    cost: float  # m, see :func:`cost_in_place`; infinite where no candidate is on the body
+    rival: Rival | None  # another heading that suits the cloud
+
+
+class Trial(NamedTuple):
+    """A candidate pose whose shape was registered to the cloud."""
+
+    position: np.ndarray  # (V, 3) m, registered
+    cost: float  # m, see :func:`cost_in_place`
+    pose: CandidatePose  # with the cost after registration, which strain and the template's shape increase
+    off_body: bool  # farther from the body than a garment that is worn
+    order: float  # negative logarithm of the posterior probability of the pose
+
+
+def _best_fit(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> Fit:
+    """The shape that fits the cloud best after registration.
+
+    The wrong heading may fit as well as the right one until both are registered. Where no candidate is on the body, something
+    else fits.
     """
-    model, config, trial = search.model, search.config.relocalization, search.config.registration.trial()
+    model, config, schedule = search.model, search.config.relocalization, search.config.registration.trial()
     trials, squared = [], np.empty(len(shapes[0]))
     rest_length = np.linalg.norm(stretched(model.rest_edge, search.size), axis=1)
     for k, shape in enumerate(shapes):
         for pose in candidate_poses(shape, search, prior)[: config.candidates]:
-            registered = register(pose.apply(shape), search.target, model, trial)
-            cost = cost_in_place(registered, search)
-            strain = math.sqrt(strains(registered, model.start, model.neighbour, rest_length, squared))
-            total = pose._replace(cost=(cost + config.strain_cost * strain) * (1.0 + config.template_cost * k))
-            order = negative_log_posterior(total, config.registered_samples, prior)
-            trials.append((search.off_body(registered) > search.farthest, order, len(trials), cost, registered, total))
-    off, _, _, cost, found, best = min(trials, key=lambda trial: trial[:3])
-    others = [(registered, total) for *_, registered, total in trials]
-    return found, math.inf if off else cost, _rival((found, best), others, config, prior)
+            position = register(pose.apply(shape), search.target, model, schedule)
+            cost = cost_in_place(position, search)
+            strain = math.sqrt(strains(position, model.start, model.neighbour, rest_length, squared))
+            pose = pose._replace(cost=(cost + config.strain_cost * strain) * (1.0 + config.template_cost * k))
+            order = negative_log_posterior(pose, config.registered_samples, prior)
+            trials.append(Trial(position, cost, pose, search.off_body(position) > search.farthest, order))
+    best = min(trials, key=lambda trial: (trial.off_body, trial.order))
+    return Fit(best.position, math.inf if best.off_body else best.cost, _rival(best, trials, config, prior))
 
 
-Registered = tuple[np.ndarray, CandidatePose]  # (V, 3) m, and the pose that was registered, with its cost after that
-
-
-def _rival(best: Registered, others: list[Registered], config: Relocalization, prior: HeadingPrior) -> Rival | None:
+def _rival(best: Trial, trials: list[Trial], config: Relocalization, prior: HeadingPrior) -> Rival | None:
     """Of the other headings that by which the garment is off most, if each is right with a probability that falls with its cost.
 
     A garment that is alike from several sides, such as a skirt, fits in each of them. Where it was tracked before, it is less
     likely to have turned far.
     """
     rivals, tracked = [], prior.doubt == 0.0
-    for position, pose in others:
-        turned = turn_between(best[0], position)
-        if abs(math.degrees(turned)) >= config.heading_separation:
-            excess = (pose.cost / max(best[1].cost, 1e-12) - 1.0) / config.rival_excess
+    for trial in trials:
+        pose, turn = trial.pose, turn_between(best.position, trial.position)
+        if abs(math.degrees(turn)) >= config.heading_separation:
+            excess = (pose.cost / max(best.pose.cost, 1e-12) - 1.0) / config.rival_excess
             if tracked:
-                excess += prior.cost(pose.heading) - prior.cost(best[1].heading)
-            expected = 2.0 * math.sin(abs(turned) / 2.0) * math.exp(-max(excess, 0.0))
-            rivals.append(Rival(math.degrees(turned), expected))
+                excess += prior.cost(pose.heading) - prior.cost(best.pose.heading)
+            expected = 2.0 * math.sin(abs(turn) / 2.0) * math.exp(-max(excess, 0.0))
+            rivals.append(Rival(math.degrees(turn), expected))
     return max(rivals, key=lambda rival: rival.expected, default=None)

@@ -55,7 +55,7 @@ def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarra
     match problem.config.associate:
         case PlaneAssociation():
             normal = np.empty_like(position)
-            target, plane, distance, searched_at = (a.copy() for a in estimate.evidence.measurement[:4])
+            target, plane, distance, searched_at = (a.copy() for a in estimate.terms.measurement[:4])
             vertex_normals(position, model.faces, normal)
             seen, judged_at = _known(problem, estimate) or (_visible(problem, position, normal), position)
             eligible = seen if only is None else seen & only
@@ -63,7 +63,7 @@ def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarra
                 _find_planes(problem, gate, (position, normal, eligible), FoundPlanes(target, plane, distance, searched_at))
             if only is not None:
                 return Measurement(target, plane, distance, searched_at, seen, None, judged_at)
-            hem = _hem(problem, (position, normal, seen), estimate.evidence.measurement.hem)
+            hem = _hem(problem, (position, normal, seen), estimate.terms.measurement.hem)
             points = _surface_points(problem, estimate)
             return Measurement(target, plane, distance, searched_at, seen, hem, judged_at, points=points)
         case NearestPoint():
@@ -109,7 +109,7 @@ def _known(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarray
 
     None before, and once the garment has moved by ``visibility_motion`` metres (RMS) since.
     """
-    last = estimate.evidence.measurement
+    last = estimate.terms.measurement
     if last.visible is None:
         return None
     step = estimate.position - last.judged_at
@@ -174,7 +174,7 @@ def _surface_points(problem: Problem, estimate: Estimate) -> FoundFaces | None:
     cloud, config, model, position = problem.cloud, problem.config.associate, problem.model, estimate.position
     if cloud.sample is None:
         return None
-    n, last = len(cloud.sample.point), estimate.evidence.measurement.points
+    n, last = len(cloud.sample.point), estimate.terms.measurement.points
     if last is None:
         reach = FACE_REACH * model.edge_length
         vertex, _ = nearest_vertices(cloud.sample.point, position, reach)

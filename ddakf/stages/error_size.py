@@ -29,8 +29,8 @@ FARTHEST = 0.1  # m, longest distance from the body that counts
 FARTHEST_ALONG = 0.6  # m, longest distance along the cloth that counts
 
 
-class PatchEvidence(NamedTuple):
-    """Evidence of a frame about the error of each patch. L patches."""
+class PatchStatistics(NamedTuple):
+    """Statistics of a frame over each patch, which tell of its error. L patches."""
 
     size: np.ndarray  # (L,) number of vertices
     observed: np.ndarray  # (L,) number of measured vertices
@@ -69,7 +69,7 @@ class Sizes(NamedTuple):
     powers: tuple[float, float]  # of the claimed sizes
 
 
-def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches: PatchEvidence) -> SizeEvidence:
+def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches: PatchStatistics) -> SizeEvidence:
     """The evidence of a frame. One in which nothing is measured has lost all vertices, and its hems are where they were.
 
     Args:
@@ -83,7 +83,7 @@ def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches
     count = np.count_nonzero(measured)
     slack, beside, away = body_anchor.slack(problem), estimate.clearance is not None, along_cloth(measured, model)
     clearance = np.clip(estimate.clearance, 0.0, FARTHEST) if beside else 0.0
-    seen_hem = estimate.evidence.measurement.squared_hem
+    seen_hem = estimate.terms.measurement.squared_hem
     return SizeEvidence(
         unmatched=estimate.unmatched if count else 1.0,
         hem=problem.last.drift.hem2 if seen_hem is None else seen_hem,

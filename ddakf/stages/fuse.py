@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.body import weight as cloth_weight
+from ddakf.body import gravity
 from ddakf.config import DecoupledUpdate, MapUpdate, NearestPoint, PlaneAssociation
 from ddakf.garment.slippage import least_normal_share, some_faces
 from ddakf.kernels import colour as colour_kernels
@@ -24,7 +24,7 @@ from ddakf.kernels.surface_points import FoundFaces
 from ddakf.physics import rigidity
 from ddakf.physics.energies import total_blocks, total_gradient
 from ddakf.stages import robust
-from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
+from ddakf.types import Estimate, Measurement, Model, Planes, Problem, State, System, UpdateTerms
 
 NOISY = 2.0  # variance of points on faces over that of planes, above which the points count less
 OPPOSITE = -0.4  # cosine between the directions to two sensors, below which they see all sides of a garment
@@ -43,8 +43,8 @@ def begin(problem: Problem) -> Estimate:
         rest=rest,
         motion=rigidity.since(problem.motion_start, model, share * motion_weight),
         information=inverse_blocks(prior.P_pp, floor),
-        evidence=Evidence(Measurement.none(n), np.zeros(n), prior.R, None),
-        gravity=cloth_weight.force(problem, rest.rotation),
+        terms=UpdateTerms(Measurement.none(n), np.zeros(n), prior.R, None),
+        gravity=gravity.force(problem, rest.rotation),
         bulge=_bulge(problem),
         yielding=_yielding(problem),
     )
@@ -76,16 +76,16 @@ def _rigidities(problem: Problem) -> tuple[float, float]:
     return problem.health.physics_lambda * physics.rest_rigidity, motion
 
 
-def fuse(problem: Problem, estimate: Estimate, evidence: Evidence, gate: float) -> Estimate:
+def fuse(problem: Problem, estimate: Estimate, terms: UpdateTerms, gate: float) -> Estimate:
     """One joint update with geometric and physical residuals.
 
     Args:
         problem: the frame.
-        estimate: at which the evidence was formed.
-        evidence: of stages B to E.
+        estimate: at which the terms were formed.
+        terms: of stages B to E.
         gate: search radius of this pass, metres; no correction is longer, before it is extrapolated.
     """
-    estimate = estimate._replace(evidence=evidence, contacts=evidence.forces.contacts, passes=estimate.passes + 1)
+    estimate = estimate._replace(terms=terms, contacts=terms.forces.contacts, passes=estimate.passes + 1)
     match problem.config.fuse:
         case MapUpdate():
             return _map_update(problem, estimate, gate)
@@ -191,7 +191,7 @@ def _held(problem: Problem) -> bool:
 
 def _planes(problem: Problem, estimate: Estimate) -> Planes:
     """The measurements as planes; a point is one that is as well known across as along."""
-    (measurement, weight, R, _), config = estimate.evidence, problem.config
+    (measurement, weight, R, _), config = estimate.terms, problem.config
     n = len(weight)
     if measurement.normal is None:
         variance = np.maximum(np.einsum("vaa->v", R) / 3, config.adapt.lowest_sd**2)
@@ -255,7 +255,7 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
         position: of the estimate, padded.
         planes: the measurements.
     """
-    n, model, energies = len(position), problem.model, estimate.evidence.forces
+    n, model, energies = len(position), problem.model, estimate.terms.forces
     D, force, bending = np.empty((n, 3, 3)), np.empty((n, 4)), energies.bending
     kernels.begin(position, problem.prior.position, estimate.information, bending.blocks, bending.force, D, force)
     for measured in (planes,) if problem.anchored is None else (planes, problem.anchored):
@@ -274,7 +274,7 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
     if energies.collision is not None:
         kernels.add_single(*energies.collision, collision, D, force)
     if _all_around(problem):
-        cloth_weight.add_to_seen(problem, estimate.observed, force)
+        gravity.add_to_seen(problem, estimate.observed, force)
     elif estimate.gravity is not None:
         force[:, :3] += estimate.gravity
     if energies.self_collision is not None:
@@ -345,7 +345,7 @@ def _decoupled_update(problem: Problem, estimate: Estimate) -> Estimate:
     the step no descent.
     """
     prior, config = problem.prior, problem.config.fuse
-    measurement, weight, R, energies = estimate.evidence
+    measurement, weight, R, energies = estimate.terms
     used = weight > 0
     y = measurement.innovation(prior.position)
     S_inverse = inverse_blocks(prior.P_pp + R / np.maximum(weight, 1e-9)[:, None, None]) * used[:, None, None]

@@ -23,6 +23,25 @@ CROWDED, NEIGHBOURS = 13.0, 80.0
 SPARSE_RINGS = 8  # search radius in the cells of the sparse surfels
 
 
+class Box(NamedTuple):
+    """A box along the axes."""
+
+    lower: np.ndarray  # (3,) m
+    upper: np.ndarray  # (3,) m
+
+
+class GriddedPoints(NamedTuple):
+    """M points of a frame, sorted by the cells of a grid."""
+
+    points: np.ndarray  # (3, M) float32, relative to the grid's origin, m
+    index: np.ndarray  # (M,) int32, row of each point in the frame
+    grid: Grid
+
+    @property
+    def n_points(self) -> int:
+        return len(self.index)
+
+
 class Density(NamedTuple):
     """The points that a cell of the garment's surface holds."""
 
@@ -80,34 +99,41 @@ def cloud(frame: FrameInput, position: np.ndarray, area: float, config: Config, 
         config: which outlier filter, and how far measurements are sought.
         samples: points that measure faces, at most.
     """
-    points, sensor_origin = frame.points, frame.sensor_origin
     match config.associate:
         case PlaneAssociation(wide_gate=gate) | NearestPoint(gate=gate):
             margin = 2.0 * gate
-    lower, upper, chosen = np.empty(3), np.empty(3), np.empty(len(points), np.int32)
-    kernels.bounds(position, margin, lower, upper)
-    chosen = chosen[: kernels.crop(points, lower, upper, chosen)]
+    box, inside = _crop(frame.points, position, margin)
     density = _density(area, config.preprocess)
-    grid = _uncrowded(points, chosen, (lower, upper), density)
-    if grid[0].size:
+    gridded = _uncrowded(frame.points, inside, box, density)
+    if gridded.n_points > 0:
         match config.preprocess:
             case GridFilter():
                 for _ in range(config.preprocess.doublings):
-                    if not _noisy(grid, config.preprocess):
+                    if not _noisy(gridded, config.preprocess):
                         break
                     density = density.doubled()
-                    grid = _uncrowded(points, chosen, (lower, upper), density)
-                grid = _drop_sparse(grid, config.preprocess)
+                    gridded = _uncrowded(frame.points, inside, box, density)
+                gridded = _drop_sparse(gridded, config.preprocess)
             case KnnFilter():
-                grid = _drop_far(grid, config.preprocess)
-    planes, sensor, stride = _planes(grid, len(position), sensor_origin, config.preprocess)
-    surfels = Surfels(planes, Grid(*grid[2:])) if stride == 1 else _in_larger_cells(planes, Grid(*grid[2:]), stride)
+                gridded = _drop_far(gridded, config.preprocess)
+    stride = _plane_stride(gridded.n_points, len(position), config.preprocess)
+    planes = _planes(gridded, stride, config.preprocess)
+    sensors = _orient(planes, gridded, stride, frame.sensor_origin)
+    surfels = Surfels(planes, gridded.grid) if stride == 1 else _in_larger_cells(planes, gridded.grid, stride)
     sparse = sample = None
     if isinstance(config.associate, PlaneAssociation):
         if surfels.grid.cell < gate / SPARSE_RINGS:
             sparse = _sparse(surfels, gate / SPARSE_RINGS, density)
-        sample = _sample(grid, planes, stride, samples, sensor is not None)
-    return Cloud(*grid[:3], *surfels, *grid[3:], sensor, sparse, sample)
+        sample = _sample(gridded, planes, stride, samples, sensors is not None)
+    start, origin, cell, dims = gridded.grid
+    return Cloud(gridded.points, gridded.index, start, *surfels, origin, cell, dims, sensors, sparse, sample)
+
+
+def _crop(points: np.ndarray, position: np.ndarray, margin: float) -> tuple[Box, np.ndarray]:
+    """The points within ``margin`` metres of the box of (V, 3) vertices: their own box, and their rows in ``points``."""
+    box, inside = Box(np.empty(3), np.empty(3)), np.empty(len(points), np.int32)
+    kernels.bounds(position, margin, *box)
+    return box, inside[: kernels.crop(points, *box, inside)]
 
 
 def _density(area: float, config: GridFilter | KnnFilter) -> Density:
@@ -117,35 +143,43 @@ def _density(area: float, config: GridFilter | KnnFilter) -> Density:
     return Density(area, config.points_per_cell)
 
 
-def _planes(grid, n_vertices: int, sensor_origin: np.ndarray | None, config: GridFilter | KnnFilter):
-    """Surfels (6, S) of every ``stride``-th point of a grid, the sensors that their normals point to or None, and the stride.
-
-    A cloud denser than the garment is fitted with planes at the density that the garment can use.
-    """
-    points, index, _, origin, cell, _ = grid
-    stride = 1
-    if isinstance(config, GridFilter):
-        stride = max(1, round(points.shape[1] / (config.planes_per_vertex * n_vertices)))
-    planes, sensor = np.empty((6, -(-points.shape[1] // stride)), np.float32), None
-    neighbours = max(1, int(NEIGHBOURS * config.points_per_cell))
-    kernels.fit_planes(points, Grid(*grid[2:]), config.plane_radius * cell, stride, neighbours, planes)
-    if sensor_origin is not None:
-        if sensor_origin.ndim == 1:
-            sensor = per_point = sensor_origin[None, :]
-        else:
-            sensor, per_point = distinct(sensor_origin), sensor_origin[index[::stride]]
-        kernels.orient_normals(planes, per_point - origin)
-    return planes, sensor, stride
+def _plane_stride(n_points: int, n_vertices: int, config: GridFilter | KnnFilter) -> int:
+    """Planes are fitted at every so many-th point: a cloud denser than the garment has more than the garment can use."""
+    if isinstance(config, KnnFilter):
+        return 1
+    return max(1, round(n_points / (config.planes_per_vertex * n_vertices)))
 
 
-def _sample(grid, planes: np.ndarray, stride: int, most: int, oriented: bool) -> Sample | None:
+def _planes(gridded: GriddedPoints, stride: int, config: GridFilter | KnnFilter) -> np.ndarray:
+    """(6, S) float32: planes fitted around every ``stride``-th point, their normals not oriented; see :class:`Surfels`."""
+    planes = np.empty((6, -(-gridded.n_points // stride)), np.float32)
+    most_neighbours = max(1, int(NEIGHBOURS * config.points_per_cell))
+    radius = config.plane_radius * gridded.grid.cell
+    kernels.fit_planes(gridded.points, gridded.grid, radius, stride, most_neighbours, planes)
+    return planes
+
+
+def _orient(planes: np.ndarray, gridded: GriddedPoints, stride: int, sensor_origin: np.ndarray | None) -> np.ndarray | None:
+    """Turns the normals of planes toward their sensors, in place; the distinct sensors, (S, 3) metres, or None: not known."""
+    if sensor_origin is None:
+        return None
+    if sensor_origin.ndim == 1:
+        sensors = per_plane = sensor_origin[None, :]
+    else:
+        sensors, per_plane = distinct(sensor_origin), sensor_origin[gridded.index[::stride]]
+    kernels.orient_normals(planes, per_plane - gridded.grid.origin)
+    return sensors
+
+
+def _sample(gridded: GriddedPoints, planes: np.ndarray, stride: int, most: int, oriented: bool) -> Sample | None:
     """At most so many of the points that have a surfel, spread over the grid, as they were measured; None of none."""
     count = planes.shape[1]
     if min(most, count) == 0:
         return None
     every = -(-count // most)
-    point = np.ascontiguousarray(grid[0][:, :: stride * every].T + grid[3])  # or another kernel is compiled
-    return Sample(point, np.ascontiguousarray(planes[3:, ::every].T, np.float64), oriented)
+    point = gridded.points[:, :: stride * every].T + gridded.grid.origin
+    normal = np.ascontiguousarray(planes[3:, ::every].T, np.float64)
+    return Sample(np.ascontiguousarray(point), normal, oriented)  # of other layouts another kernel is compiled
 
 
 def _in_larger_cells(planes: np.ndarray, grid: Grid, stride: int) -> Surfels:
@@ -154,10 +188,10 @@ def _in_larger_cells(planes: np.ndarray, grid: Grid, stride: int) -> Surfels:
     larger = cell * float(np.sqrt(stride))
     dims = (dims * cell / larger).astype(np.int64) + 1
     start, index = np.empty(int(np.prod(dims)) + 2, np.int32), np.empty(planes.shape[1], np.int32)
-    points, moved = np.ascontiguousarray(planes[:3].T), np.empty_like(planes)
-    kernels.fill_grid(points, _all(points), Grid(start, np.zeros(3), larger, dims), moved[:3], index)
-    moved[3:] = planes[3:, index]
-    return Surfels(moved, Grid(start, origin, larger, dims))
+    points, ordered = np.ascontiguousarray(planes[:3].T), np.empty_like(planes)
+    kernels.fill_grid(points, _all_rows(points), Grid(start, np.zeros(3), larger, dims), ordered[:3], index)
+    ordered[3:] = planes[3:, index]
+    return Surfels(ordered, Grid(start, origin, larger, dims))
 
 
 def _sparse(surfels: Surfels, cell: float, density: Density) -> Surfels | None:
@@ -168,107 +202,111 @@ def _sparse(surfels: Surfels, cell: float, density: Density) -> Surfels | None:
     if len(chosen) == 0:
         return None
     points, surplus = np.ascontiguousarray(planes[:3, chosen].T), np.empty(len(chosen), bool)
-    box = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
-    grid = _grid(points, _all(points), box, cell)
-    kernels.mark_surplus(grid[2], density.most_per_cell, surplus)
-    points, index, start, corner, cell, dims = _without(grid, surplus)
+    box = Box(points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64))
+    gridded = _gridded(points, _all_rows(points), box, cell)
+    kernels.mark_surplus(gridded.grid.start, density.most_per_cell, surplus)
+    points, index, (start, corner, cell, dims) = _without(gridded, surplus)
     return Surfels(np.concatenate([points, planes[3:, chosen[index]]]), Grid(start, surfels.grid.origin + corner, cell, dims))
 
 
-def _all(points: np.ndarray) -> np.ndarray:
+def _all_rows(points: np.ndarray) -> np.ndarray:
     return np.arange(len(points), dtype=np.int32)
 
 
-def _uncrowded(points: np.ndarray, chosen: np.ndarray, box: tuple[np.ndarray, np.ndarray], density: Density):
+def _uncrowded(points: np.ndarray, chosen: np.ndarray, box: Box, density: Density) -> GriddedPoints:
     """The grid of the chosen points without those that crowd its cells; where these are most of them, in larger cells."""
     while True:
-        grid, surplus = _grid(points, chosen, box, density.cell(len(chosen))), np.empty(len(chosen), bool)
-        if 2 * kernels.mark_surplus(grid[2], density.most_per_cell, surplus) >= len(chosen):
-            return _without(grid, surplus)
-        chosen = np.sort(grid[1][~surplus])
+        gridded, surplus = _gridded(points, chosen, box, density.cell(len(chosen))), np.empty(len(chosen), bool)
+        if 2 * kernels.mark_surplus(gridded.grid.start, density.most_per_cell, surplus) >= len(chosen):
+            return _without(gridded, surplus)
+        chosen = np.sort(gridded.index[~surplus])
 
 
-def _grid(points: np.ndarray, chosen: np.ndarray, box: tuple[np.ndarray, np.ndarray], cell: float):
-    """Sorted points of the chosen ones in a box, their indices, cell starts, origin, cell size and dimensions."""
+def _gridded(points: np.ndarray, chosen: np.ndarray, box: Box, cell: float) -> GriddedPoints:
+    """The chosen rows of (N, 3) points in a box, metres, in cells of ``cell`` metres; in larger ones where these are too many."""
     if len(chosen) == 0:
-        return np.empty((3, 0), np.float32), chosen, np.zeros(10, np.int32), np.zeros(3), 1.0, np.full(3, 2, np.int64)
-    lower, upper = box
-    origin = lower - 1e-6
-    extent = upper - origin + 1e-6
-    cells = min(MAX_CELLS, CELLS_PER_POINT * len(chosen))
-    cell = max(cell, 1e-4, float(np.prod(np.maximum(extent, 1e-3) / cells ** (1 / 3))) ** (1 / 3))
+        grid = Grid(np.zeros(10, np.int32), np.zeros(3), 1.0, np.full(3, 2, np.int64))
+        return GriddedPoints(np.empty((3, 0), np.float32), chosen, grid)
+    origin = box.lower - 1e-6
+    extent = box.upper - origin + 1e-6
+    most_cells = min(MAX_CELLS, CELLS_PER_POINT * len(chosen))
+    cell = max(cell, 1e-4, float(np.prod(np.maximum(extent, 1e-3) / most_cells ** (1 / 3))) ** (1 / 3))
     dims = np.maximum((extent / cell).astype(np.int64) + 1, 1)
-    while np.prod(dims.astype(float)) > 2 * cells:
+    while np.prod(dims.astype(float)) > 2 * most_cells:
         cell *= 1.3
         dims = np.maximum((extent / cell).astype(np.int64) + 1, 1)
-    start = np.empty(int(np.prod(dims)) + 2, np.int32)
-    sorted_points = np.empty((3, len(chosen)), np.float32)
-    index = np.empty(len(chosen), np.int32)
-    kernels.fill_grid(points, chosen, Grid(start, origin, cell, dims), sorted_points, index)
-    return sorted_points, index, start, origin, cell, dims
+    grid = Grid(np.empty(int(np.prod(dims)) + 2, np.int32), origin, cell, dims)
+    sorted_points, index = np.empty((3, len(chosen)), np.float32), np.empty(len(chosen), np.int32)
+    kernels.fill_grid(points, chosen, grid, sorted_points, index)
+    return GriddedPoints(sorted_points, index, grid)
 
 
-def _noisy(grid, config: GridFilter) -> bool:
+def _noisy(gridded: GriddedPoints, config: GridFilter) -> bool:
     """Whether the noise is about as large as the cells, so that few neighbourhoods are flat, and the cells are not crowded.
 
     Planes then need more points. Judged by a sample of them.
     """
-    points, start, cell = grid[0], grid[2], grid[4]
-    count = np.diff(start[:-1]).astype(np.float64)
+    count = np.diff(gridded.grid.start[:-1]).astype(np.float64)
     if count @ count > config.crowded * count.sum():
         return False
-    stride = max(1, points.shape[1] // config.sample)
-    planes = np.empty((6, -(-points.shape[1] // stride)), np.float32)
-    neighbours = max(1, int(NEIGHBOURS * config.points_per_cell))
-    kernels.fit_planes(points, Grid(*grid[2:]), config.plane_radius * cell, stride, neighbours, planes)
-    return np.count_nonzero(planes[3:].any(axis=0)) < config.flat_share * planes.shape[1]
+    planes = _planes(gridded, max(1, gridded.n_points // config.sample), config)
+    flat = np.count_nonzero(planes[3:].any(axis=0))
+    return flat < config.flat_share * planes.shape[1]
 
 
-def _drop_sparse(grid, config: GridFilter):
+def _drop_sparse(gridded: GriddedPoints, config: GridFilter) -> GriddedPoints:
     """The statistical filter, with neighbours sought for suspects alone.
 
     A point whose 27 cells hold a fair share of the median is an inlier. The statistics that the others are held against are of
     all points: suspects, and a sample of the rest.
     """
-    points, index, start, _, _, dims = grid
-    occupied, count, suspects, rest = (np.empty(len(index), np.int32) for _ in range(4))
-    n = kernels.neighbourhood_counts(start, dims, occupied, count)
-    n = kernels.split_suspects(start, occupied[:n], count[:n], config.suspect_share, suspects, rest)
-    if n == 0:
-        return grid
-    suspects, rest = suspects[:n], rest[: len(index) - n]
+    suspects, rest = _suspects(gridded, config)
+    if len(suspects) == 0:
+        return gridded
     sample = rest[:: max(1, len(rest) // config.sample)]
-    distance = np.empty(len(suspects) + len(sample))
-    knn_mean_distances(
-        points, np.concatenate([suspects, sample]), Grid(*grid[2:]), config.neighbours - 1, config.suspect_rings, distance
-    )
-    mine, others = distance[: len(suspects)], distance[len(suspects) :]
-    total = len(index)
-    mean = (mine.sum() + len(rest) * others.mean()) / total if len(others) else mine.mean()
-    spread = np.square(mine - mean).sum() + (len(rest) * np.square(others - mean).mean() if len(others) else 0.0)
-    removed = np.zeros(total, bool)
+    asked, distance = np.concatenate([suspects, sample]), np.empty(len(suspects) + len(sample))
+    knn_mean_distances(gridded.points, asked, gridded.grid, config.neighbours - 1, config.suspect_rings, distance)
+    of_suspects, of_sample = distance[: len(suspects)], distance[len(suspects) :]
+    total = gridded.n_points
+    if len(sample):
+        mean = (of_suspects.sum() + len(rest) * of_sample.mean()) / total
+        squares = np.square(of_suspects - mean).sum() + len(rest) * np.square(of_sample - mean).mean()
+    else:
+        mean = of_suspects.mean()
+        squares = np.square(of_suspects - mean).sum()
     # a clean cloud has little spread, and its sparser parts are no outliers
-    removed[suspects[mine > max(mean + config.ratio * np.sqrt(spread / total), config.clean_factor * mean)]] = True
-    return _without(grid, removed)
+    farthest = max(mean + config.ratio * np.sqrt(squares / total), config.clean_factor * mean)
+    removed = np.zeros(total, bool)
+    removed[suspects[of_suspects > farthest]] = True
+    return _without(gridded, removed)
 
 
-def _drop_far(grid, config: KnnFilter):
+def _suspects(gridded: GriddedPoints, config: GridFilter) -> tuple[np.ndarray, np.ndarray]:
+    """Points whose 27 cells hold few others, and the rest: their numbers in the grid's order."""
+    start, dims, total = gridded.grid.start, gridded.grid.dims, gridded.n_points
+    occupied, count, suspects, rest = (np.empty(total, np.int32) for _ in range(4))
+    n_cells = kernels.neighbourhood_counts(start, dims, occupied, count)
+    n = kernels.split_suspects(start, occupied[:n_cells], count[:n_cells], config.suspect_share, suspects, rest)
+    return suspects[:n], rest[: total - n]
+
+
+def _drop_far(gridded: GriddedPoints, config: KnnFilter) -> GriddedPoints:
     """Rusu and Cousins 2011, as in Open3D: mean distance to the k nearest, the point itself among them."""
-    points, index, start = grid[:3]
-    if len(index) <= 1:
-        return grid
-    others = min(config.neighbours, len(index)) - 1
-    mean = np.empty(len(index))
-    knn_mean_distances(points, np.arange(len(index)), Grid(*grid[2:]), others, len(start), mean)
+    total = gridded.n_points
+    if total <= 1:
+        return gridded
+    others, mean = min(config.neighbours, total) - 1, np.empty(total)
+    every_ring = len(gridded.grid.start)  # rings are no more than cells
+    knn_mean_distances(gridded.points, np.arange(total), gridded.grid, others, every_ring, mean)
     mean *= others / (others + 1)
-    return _without(grid, ~(mean < mean.mean() + config.ratio * mean.std(ddof=1)))
+    return _without(gridded, ~(mean < mean.mean() + config.ratio * mean.std(ddof=1)))
 
 
-def _without(grid, removed: np.ndarray):
-    points, index, start, origin, cell, dims = grid
-    left = len(index) - np.count_nonzero(removed)
-    if left == len(index):
-        return grid
-    new_start, new_points, new_index = np.empty_like(start), np.empty((3, left), np.float32), np.empty(left, np.int32)
-    kernels.remove(start, removed, points, index, new_start, new_points, new_index)
-    return new_points, new_index, new_start, origin, cell, dims
+def _without(gridded: GriddedPoints, removed: np.ndarray) -> GriddedPoints:
+    """The points without the (M,) removed ones, in the same cells."""
+    left = gridded.n_points - np.count_nonzero(removed)
+    if left == gridded.n_points:
+        return gridded
+    start, points, index = np.empty_like(gridded.grid.start), np.empty((3, left), np.float32), np.empty(left, np.int32)
+    kernels.remove(gridded.grid.start, removed, gridded.points, gridded.index, start, points, index)
+    return GriddedPoints(points, index, gridded.grid._replace(start=start))

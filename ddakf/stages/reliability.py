@@ -165,9 +165,9 @@ class Verdict(NamedTuple):
 
 def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict:
     """Scores a frame and moves the tracker's state on."""
-    config, measurement = problem.config.reliability, estimate.evidence.measurement
+    config, measurement = problem.config.reliability, estimate.terms.measurement
     coverage = float(estimate.observed.mean())
-    s_k = paper_score(measurement.innovation(problem.prior.position), estimate.evidence.R, measurement.found)
+    s_k = paper_score(measurement.innovation(problem.prior.position), estimate.terms.R, measurement.found)
     near, margin = beside(problem.garment, posterior.state.position), problem.config.skin_removal.cloth_distance
     cloud = sample(near, problem.config.evidence)
     points = skin_removal.remove_skin(cloud, problem, posterior.state.position, margin).points

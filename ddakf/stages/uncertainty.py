@@ -18,16 +18,16 @@ from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
 from ddakf.config.stages import USUAL_RATE
 from ddakf.garment.slippage import fold_height, has_limbs, least_seen_turn, some_faces
-from ddakf.kernels import follow
 from ddakf.kernels import surface_points as point_kernels
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
+from ddakf.kernels.rigid_motion import moments
 from ddakf.kernels.uncertainty import MeasuredPlanes, PatchMeans, PatchSums
 from ddakf.physics.size import rest_length
 from ddakf.planning import omission
 from ddakf.stages import error_size, predict
-from ddakf.stages.error_size import PatchEvidence
+from ddakf.stages.error_size import PatchStatistics
 from ddakf.stages.fuse import condition, inverse_blocks, invert
 from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
 
@@ -78,7 +78,7 @@ def _conditioned(problem: Problem, estimate: Estimate) -> State:
         return bound(prior._replace(position=estimate.position), limits)
     covariance = inverse_blocks(estimate.system.D)
     kernels.replace_indefinite(covariance, prior.P_pp)  # a torn mesh has equations that cannot be inverted
-    return bound(condition(prior, estimate.position, covariance, estimate.evidence.R), limits)
+    return bound(condition(prior, estimate.position, covariance, estimate.terms.R), limits)
 
 
 def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.ndarray, Drift]:
@@ -97,16 +97,16 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     weight = np.zeros_like(planes.weight) if estimate.rejected else planes.weight
     normal = np.empty_like(state.position)
     vertex_normals(state.position, model.faces, normal)
-    evidence = _evidence(problem, estimate, weight, Surface(state.position, normal))
+    patches = _patch_statistics(problem, estimate, weight, Surface(state.position, normal))
     stored2 = kernels.mean_and_largest_trace(state.P_pp)[0] / 3.0
     coupling = Coupling(_elastic(problem, estimate), stored2, estimate.clearance is not None)
-    drift = advance(problem, evidence, coupling)
-    strain2 = evidence.means.strain2
-    slip2 = limits.strain_reach**2 * 0.5 * (strain2 + _mean(strain2, evidence.size)) + limits.floor_sd**2
+    drift = advance(problem, patches, coupling)
+    strain2 = patches.means.strain2
+    slip2 = limits.strain_reach**2 * 0.5 * (strain2 + _mean(strain2, patches.size)) + limits.floor_sd**2
     covariance, share = np.empty((len(weight), 3, 3)), 1.0 + limits.vertex_share
-    measured = MeasuredPlanes(weight, planes.normal, planes.variance, evidence.isotropic)
-    kernels.vertex_covariances(drift.covariance, share, slip2, 2.0 * evidence.means.bend, model.patch, measured, covariance)
-    found = error_size.evidence(problem, estimate, state.position, evidence)
+    measured = MeasuredPlanes(weight, planes.normal, planes.variance, patches.isotropic)
+    kernels.vertex_covariances(drift.covariance, share, slip2, 2.0 * patches.means.bend, model.patch, measured, covariance)
+    found = error_size.evidence(problem, estimate, state.position, patches)
     covariance = error_size.resized(covariance, normal, error_size.sizes(problem, estimate, found))
     turned = _unseen_turn(problem, estimate, Surface(state.position, normal), found.slip)
     return capped(covariance, limits), drift._replace(hem2=found.hem, unseen_turn=turned)
@@ -123,7 +123,7 @@ def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: f
         problem: the frame.
         estimate: finished.
         surface: the posterior.
-        slip: of the evidence.
+        slip: see ``SizeEvidence``.
     """
     model, limits, angle = problem.model, problem.config.uncertainty, problem.last.drift.unseen_turn
     if estimate.clearance is not None or problem.coloured or has_limbs(model.mesh):
@@ -187,7 +187,7 @@ class Coupling(NamedTuple):
     on_body: bool  # whether the body is known
 
 
-def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Drift:
+def advance(problem: Problem, patches: PatchStatistics, coupling: Coupling) -> Drift:
     """The covariance of what the update leaves of the error, and of what it adds.
 
     The update moves the patches by (C + M)^-1 M times what the measurements see of their error, C what couples the patches and M
@@ -199,34 +199,34 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
 
     Args:
         problem: the frame, with the drift after the last one.
-        evidence: of this frame.
+        patches: of this frame.
         coupling: of the patches.
     """
     model, limits, drift = problem.model, problem.config.uncertainty, problem.last.drift
-    growth2, speed2, missed = _growth(problem, evidence, coupling)
+    growth2, speed2, missed = _growth(problem, patches, coupling)
     covariance = np.empty_like(drift.covariance)
-    kernels.grow(drift.covariance, remaining(problem, evidence), model.likeness, growth2, limits.ceiling_sd, covariance)
-    if evidence.observed.any():
-        covariance = _updated(problem, covariance, evidence, coupling.B)
+    kernels.grow(drift.covariance, remaining(problem, patches), model.likeness, growth2, limits.ceiling_sd, covariance)
+    if patches.observed.any():
+        covariance = _updated(problem, covariance, patches, coupling.B)
     return drift._replace(covariance=covariance, speed2=speed2, stored2=coupling.stored2, missed=missed)
 
 
-def remaining(problem: Problem, evidence: PatchEvidence) -> float:
+def remaining(problem: Problem, patches: PatchStatistics) -> float:
     """Share of the errors' covariance that has not faded since the last frame; of a garment that may be lost, all."""
-    rate = problem.health.reliability * evidence.observed.sum() / evidence.size.sum() / problem.config.uncertainty.return_time
+    rate = problem.health.reliability * patches.observed.sum() / patches.size.sum() / problem.config.uncertainty.return_time
     return math.exp(-2.0 * rate * problem.dt)
 
 
-def _updated(problem: Problem, P: np.ndarray, evidence: PatchEvidence, B: np.ndarray) -> np.ndarray:
+def _updated(problem: Problem, P: np.ndarray, patches: PatchStatistics, B: np.ndarray) -> np.ndarray:
     """F P F' + G M G with G = (C + M)^-1 and F = I - G M, which is F (P F' - G) + G; P where G cannot be had."""
     coarse = np.empty(P.shape, np.float32)
     least = problem.config.uncertainty.least_information
-    kernels.couple_patches(B, problem.model.crossing, evidence.means.information, least, coarse)
+    kernels.couple_patches(B, problem.model.crossing, patches.means.information, least, coarse)
     updated = np.empty_like(P)
-    return updated if kernels.update_errors(P, invert(coarse), evidence.means.information, updated) else P
+    return updated if kernels.update_errors(P, invert(coarse), patches.means.information, updated) else P
 
 
-def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tuple[np.ndarray, float, np.ndarray]:
+def _growth(problem: Problem, patches: PatchStatistics, coupling: Coupling) -> tuple[np.ndarray, float, np.ndarray]:
     """(L,) m^2 that each patch's error grows by in this frame in each direction, and the running means of what predictions miss.
 
     The first of these, of the innovations, leaves out what all patches have in common; the second does not, nor the body's part.
@@ -236,18 +236,18 @@ def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tu
     predictions go on missing as much, and a garment without a body goes where the prediction's own variance says.
     """
     drift, dt, limits = problem.last.drift, problem.dt, problem.config.uncertainty
-    seen, innovation2, motion2 = evidence.observed / evidence.size, evidence.means.innovation2, evidence.means.motion2
-    enough = evidence.observed.sum() > limits.least_coverage * evidence.size.sum()
+    seen, innovation2, motion2 = patches.observed / patches.size, patches.means.innovation2, patches.means.motion2
+    enough = patches.observed.sum() > limits.least_coverage * patches.size.sum()
     if not enough:
         lost2 = 0.0 if coupling.on_body else max(coupling.stored2 - drift.stored2, 0.0)
         return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + limits.growth_sd**2), drift.speed2, drift.missed
-    common = _mean(innovation2, evidence.observed)
+    common = _mean(innovation2, patches.observed)
     old = limits.innovation_memory if drift.speed2 > 0.0 else 0.0
     apart2 = max(dt, SHORTEST) ** 2
     speed2 = old * drift.speed2 + (1.0 - old) * common / apart2
-    missed = old * drift.missed + (1.0 - old) * evidence.missed / apart2
+    missed = old * drift.missed + (1.0 - old) * patches.missed / apart2
     per_patch = common + 0.5 * seen * (innovation2 - common)
-    moved = 0.5 * (motion2 + _mean(motion2, evidence.size))
+    moved = 0.5 * (motion2 + _mean(motion2, patches.size))
     moved *= max(1.0, 1.0 / (USUAL_RATE * dt))  # successive steps within 1/30 s are alike, so that their errors add up
     grown = limits.missed_share**2 * per_patch + limits.unseen_motion**2 * (1.0 - seen) * moved
     return grown / 3.0 + limits.growth_sd**2, speed2, missed
@@ -260,8 +260,8 @@ class Surface(NamedTuple):
     normal: np.ndarray  # (V, 3) unit
 
 
-def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, surface: Surface) -> PatchEvidence:
-    """The evidence of a frame: ``weight`` (V,) of its measurements, and the posterior ``surface``."""
+def _patch_statistics(problem: Problem, estimate: Estimate, weight: np.ndarray, surface: Surface) -> PatchStatistics:
+    """The statistics of a frame: ``weight`` (V,) of its measurements, and the posterior ``surface``."""
     model, planes, limits = problem.model, estimate.planes, problem.config.uncertainty
     # where an unseen part is assumed to be: moved rigidly with what is seen, or, on a body, with the body
     still, missed = surface.position, surface.position - problem.prior.position
@@ -281,13 +281,13 @@ def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, surface:
         point_kernels.add_information(model.rings, planes.points, planes.information, model.patch, sums.information)
     kernels.patch_means(sums, limits.plane_persistence, limits.least_bend, means)
     missed = missed[weight > 0.0]
-    return PatchEvidence(sums.size, sums.observed, means, ring_strain, isotropic, missed.T @ missed / max(len(missed), 1))
+    return PatchStatistics(sums.size, sums.observed, means, ring_strain, isotropic, missed.T @ missed / max(len(missed), 1))
 
 
 def _turned_with(before: np.ndarray, after: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(V, 3) metres: vertices ``before``, moved by the rigid motion of the ``seen`` (V,) to ``after`` (Kabsch 1976)."""
     sums = np.empty((1, 16))
-    follow.moments(before, after, seen, np.zeros(len(seen), np.int32), sums)
+    moments(before, after, seen, np.zeros(len(seen), np.int32), sums)
     count, means = sums[0, 0], sums[0, 1:] / max(sums[0, 0], 1.0)
     if count < LEAST_TURNED:
         return before

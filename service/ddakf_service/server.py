@@ -34,9 +34,9 @@ from .transports.http_server import HttpServer
 from .transports.rest.cross_origin import origin_checked
 from .transports.rest.routes import create_app
 from .transports.websocket.routes import add_websockets
+from .workers.fork_server import ForkServer, WorkerSource
 from .workers.local_pool import LocalPool
 from .workers.pool import Limits, Progress
-from .workers.template import Template, WorkerSource
 
 log = logging.getLogger(__name__)
 
@@ -65,10 +65,10 @@ class Server:
     """gRPC and REST in one event loop, in front of a pool of workers.
 
     Args:
-        template: of the workers, launched earlier.
+        fork_server: of the workers, launched earlier.
     """
 
-    def __init__(self, settings: Settings, template: Template | None = None):
+    def __init__(self, settings: Settings, fork_server: ForkServer | None = None):
         self._settings = settings
         if sentence := _unreachable(settings):
             log.warning(sentence)
@@ -99,10 +99,10 @@ class Server:
             recycle_memory=settings.recycle_memory_bytes,
             on_lost=lambda ids: self._sessions.lose(ids),
             on_change=self._follow_workers,
-            template=None if source else template,
+            fork_server=None if source else fork_server,
             source=source,
         )
-        self._unused = template if source else None
+        self._unused = fork_server if source else None
         self._sessions = Sessions(self._pool, settings, self._metrics, self._store)
         recorder = FrameRecorder(self._metrics, self._store.history, self._tracer)
         self._streams = Streams(self._sessions.components, recorder)

@@ -10,7 +10,7 @@ from ddakf import Config
 from ddakf.body import contact
 from ddakf.config import Physics
 from ddakf.physics import collision
-from ddakf.types import Evidence, Health, State, Track
+from ddakf.types import Health, State, Track, UpdateTerms
 from tests.physics.shapes import ball, sheet
 from tests.stages.scenes import FPS, about, estimate_at, measured, posed, problem_of
 from tests.tracker_runs import SAMPLE, worn
@@ -53,8 +53,8 @@ def after(track, heights, observed, dt, searched=True):
 def seen(position, observed, contacts, at=None):
     """An estimate whose observed vertices were measured where they are, or in planes ``at`` these places."""
     measurement = measured(position if at is None else at, np.tile(NORMAL, (len(position), 1)), observed)
-    evidence = Evidence(measurement, observed.astype(float), None, None)
-    return estimate_at(position, evidence)._replace(contacts=contacts)
+    terms = UpdateTerms(measurement, observed.astype(float), None, None)
+    return estimate_at(position, terms)._replace(contacts=contacts)
 
 
 def test_what_starts_inside_may_stay_and_may_not_go_deeper():

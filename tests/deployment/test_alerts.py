@@ -22,7 +22,7 @@ from ddakf_service.commands.service_process import ServiceProcess
 
 from ddakf.commands import cli
 
-from ..service.conftest import TIMEOUT, eventually, held, make_sheet, postgres, running, template, workers  # noqa: F401
+from ..service.conftest import TIMEOUT, eventually, fork_server, held, make_sheet, postgres, running, workers  # noqa: F401
 from ..service.store.conftest import fill
 from .conftest import COMPOSE, Prometheus, program, prometheus
 
@@ -147,7 +147,7 @@ def test_a_lost_worker(deployment):
 def test_no_worker(deployment):
     assert "DdakfNoWorker" not in deployment.prometheus.alerts()
     eventually(lambda: deployment.prometheus.values("ddakf_workers_spare") == [1.0])
-    with held([pid for pid in [template(deployment.service.pid)] if pid]):
+    with held([pid for pid in [fork_server(deployment.service.pid)] if pid]):
         for pid in workers(deployment.service.pid):
             os.kill(pid, signal.SIGKILL)
         deployment.awaits("DdakfNoWorker")

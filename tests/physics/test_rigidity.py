@@ -12,7 +12,7 @@ from ddakf.config import MapUpdate
 from ddakf.garment import model
 from ddakf.physics import energies, rigidity
 from ddakf.stages import fuse
-from ddakf.types import Evidence, Setup, State
+from ddakf.types import Setup, State, UpdateTerms
 from tests.physics.shapes import sheet
 from tests.stages import dense
 from tests.stages.scenes import about, measured, problem_of, rms, tube
@@ -35,8 +35,8 @@ def rigid_alone(garment, position, last, config=RIGID):
     problem = problem_of(garment, prior, config, motion_start=last, rotation=rotation)
     update = fuse.begin(problem)
     nothing = measured(position, np.zeros((n, 3)), np.zeros(n, bool))
-    evidence = Evidence(nothing, np.zeros(n), prior.R, energies.linearize(problem, update))
-    update = fuse.fuse(problem, update, evidence, 10.0)
+    terms = UpdateTerms(nothing, np.zeros(n), prior.R, energies.linearize(problem, update))
+    update = fuse.fuse(problem, update, terms, 10.0)
     i, j = garment.mesh.edges.T
     ring = update.rest.weight + update.motion.weight
     weight = 0.5 * (ring[i] + ring[j])

@@ -158,7 +158,7 @@ def test_little_that_is_seen_teaches_no_size():
 
 def estimate_of(hem, learnable=None, position=None):
     measurement = Measurement.none(len(TUBE.vertices))._replace(hem=hem)
-    return SimpleNamespace(learnable=learnable, evidence=SimpleNamespace(measurement=measurement), position=position)
+    return SimpleNamespace(learnable=learnable, terms=SimpleNamespace(measurement=measurement), position=position)
 
 
 def hems_of(ends, turn=None, noise=0.0, velocity=0.0):
@@ -195,7 +195,7 @@ def test_hems_that_disagree_tell_less():
 
 def test_hems_that_are_believed_by_half_tell_half():
     problem, estimate = hems_of(0.95 * TUBE.vertices)
-    hem = estimate.evidence.measurement.hem
+    hem = estimate.terms.measurement.hem
     doubted = estimate_of(hem._replace(weight=0.5 * hem.weight, belief=0.5), position=estimate.position)
     assert size.hem_strain(problem, doubted) == pytest.approx(0.5 * size.hem_strain(problem, estimate), rel=1e-3)
 

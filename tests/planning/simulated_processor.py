@@ -24,7 +24,7 @@ class SimulatedProcessor:
         patch.setattr(clock.time, "thread_time", lambda: self.now)
         self._charge(patch, preprocess, "cloud", lambda frame, *_: POINT * (len(frame.points) + 3000))
         self._charge(patch, fuse, "fuse", lambda problem, *_: PASS + ROW * len(problem.prior.position))
-        self._charge(patch, relocalize, "_best", lambda *_: SEARCH)
+        self._charge(patch, relocalize, "_best_fit", lambda *_: SEARCH)
         self._charge(patch, relocalize, "register", lambda *_: REGISTRATION)
         self._charge(patch, uncertainty, "marginals", lambda *_: END)
 

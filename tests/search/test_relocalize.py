@@ -15,7 +15,7 @@ from ddakf.garment import model
 from ddakf.mesh import vertex_normals
 from ddakf.physics import rigidity
 from ddakf.search import relocalize
-from ddakf.search.relocalize import LONGEST_WAIT, MOST_ROUNDS, _cost_of_staying, interrupted, locate, search_due
+from ddakf.search.relocalize import LONGEST_WAIT, MOST_ROUNDS, Fit, _cost_of_staying, interrupted, locate, search_due
 from ddakf.stages.predict import predict
 from ddakf.types import Drift, Health, State, Track
 from tests.search.test_candidate_poses import flat_tube
@@ -119,8 +119,8 @@ def test_a_garment_that_was_never_found_may_face_any_way(view, degrees):
 @pytest.mark.parametrize(("given", "doubt"), [(True, 0.0), (False, RULE.heading_doubt)])
 def test_the_heading_of_a_given_start_is_not_doubted(given, doubt, monkeypatch):
     """Between alike sides noise would decide, and turn a person's shirt back to front for good."""
-    doubts, best = [], relocalize._best
-    monkeypatch.setattr(relocalize, "_best", lambda *given: doubts.append(given[-1].doubt) or best(*given))
+    doubts, best = [], relocalize._best_fit
+    monkeypatch.setattr(relocalize, "_best_fit", lambda *given: doubts.append(given[-1].doubt) or best(*given))
     truth = SAMPLE.garment_vertices[0] + [0.05, 0.0, 0.0]
     tracker = Tracker(SHIRT)
     if given:
@@ -308,7 +308,7 @@ def test_the_template_is_sought_as_the_wearer_faced_and_not_as_its_file_does(deg
     problem = problem_of(cloth, prior_at(torn + 3.0), Config(), last=track, motion_start=torn, rotation=track.rotation)
     problem = problem._replace(frame=frame_of(scan(faced, SHIRT)), health=Health(state="lost"), dt=DT)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(relocalize, "_best", lambda found, *_: shapes.extend(found) or (found[0], np.inf, None))
+        patch.setattr(relocalize, "_best_fit", lambda found, *_: shapes.extend(found) or Fit(found[0], np.inf, None))
         locate(problem)
     assert rms(shapes[1] - shapes[1].mean(axis=0) - (faced - faced.mean(axis=0))) < 1e-6
 

@@ -59,7 +59,7 @@ def errors(tracker, name, frames, away=0.6):
 @pytest.mark.parametrize("name", ["wall", "table", "somebody beside"])
 def test_a_garment_in_its_place_is_not_searched_in_a_scene(monkeypatch, name, with_body):
     tracker = tracker_at(SAMPLE.garment_vertices[FIRST], with_body)
-    monkeypatch.setattr(relocalize, "_best", None)
+    monkeypatch.setattr(relocalize, "_best_fit", None)
     assert next(errors(tracker, name, 1)) < 0.01
 
 

@@ -161,9 +161,9 @@ def workers(pid: int) -> list[int]:
     return sorted(child for child in children(pid) if name_of(child) == "ddakf-worker")
 
 
-def template(pid: int) -> int | None:
-    """Template process of the server `pid`."""
-    return next((child for child in children(pid) if name_of(child) == "ddakf-template"), None)
+def fork_server(pid: int) -> int | None:
+    """Fork server of the server `pid`."""
+    return next((child for child in children(pid) if name_of(child) == "ddakf-forkserv"), None)
 
 
 def name_of(pid: int) -> str:

@@ -23,7 +23,7 @@ from ddakf_service.store.store import Store
 
 import ddakf
 
-from .conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, held, is_running, template
+from .conftest import TIMEOUT, Api, Talk, children, eventually, fork_server, frame_of, held, is_running
 
 pytestmark = pytest.mark.slow
 
@@ -88,7 +88,7 @@ def test_before_the_workers_are_warm_nothing_is_ready(tmp_path):
                 except httpx.TransportError:
                     return 0
 
-            with held([eventually(lambda: template(process.pid))]):
+            with held([eventually(lambda: fork_server(process.pid))]):
                 eventually(lambda: status("/healthz") == 200)
                 assert status("/readyz") == 503
             eventually(lambda: status("/readyz") == 200, 120)
@@ -209,7 +209,7 @@ def test_a_second_signal_forces_the_end(own_service, sheet):
 
 def test_a_killed_server_leaves_no_worker(own_service):
     processes = children(own_service.pid)
-    assert len(processes) == 2, "a worker and its template"
+    assert len(processes) == 2, "a worker and its fork server"
     assert own_service.stop(signal.SIGKILL) == -signal.SIGKILL
     eventually(lambda: not any(is_running(pid) for pid in processes))
 

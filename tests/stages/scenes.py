@@ -14,7 +14,7 @@ from ddakf.evaluation.sensors import sample_surface
 from ddakf.files.open3d_bridge import import_open3d
 from ddakf.stages import preprocess
 from ddakf.stages.associate import associate
-from ddakf.types import BodyPose, Estimate, Evidence, FrameInput, Health, Measurement, Problem, State
+from ddakf.types import BodyPose, Estimate, FrameInput, Health, Measurement, Problem, State, UpdateTerms
 
 FPS = 30.0
 
@@ -126,10 +126,10 @@ def problem_of(model=None, prior: State | None = None, config: Config | None = N
     return base._replace(**more)
 
 
-def estimate_at(position, evidence: Evidence | None = None) -> Estimate:
+def estimate_at(position, terms: UpdateTerms | None = None) -> Estimate:
     """An estimate that no pass has refined."""
-    none = Evidence(Measurement.none(len(position)), np.zeros(len(position)), None, None)
-    return Estimate(position, None, None, None, evidence or none)
+    none = UpdateTerms(Measurement.none(len(position)), np.zeros(len(position)), None, None)
+    return Estimate(position, None, None, None, terms or none)
 
 
 def posed(body: Mesh, vertices=None, reach=0.1) -> BodyPose:
@@ -147,7 +147,7 @@ def associated(position, cloud, garment, gate, config, last=None, body_vertices=
     problem = problem_of(garment, None, whole, cloud=cloud, body=body)
     estimate = estimate_at(position)
     if last is not None:
-        estimate = estimate._replace(evidence=estimate.evidence._replace(measurement=last))
+        estimate = estimate._replace(terms=estimate.terms._replace(measurement=last))
     return associate(problem, estimate, gate)
 
 

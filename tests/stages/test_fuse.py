@@ -13,7 +13,7 @@ from ddakf.garment import model
 from ddakf.kernels.normals import vertex_normals
 from ddakf.physics import energies, rigidity
 from ddakf.stages import fuse
-from ddakf.types import Evidence, Health, InputReference, Sides, State, Track
+from ddakf.types import Health, InputReference, Sides, State, Track, UpdateTerms
 from tests.physics.shapes import ball, sheet
 from tests.stages import dense
 from tests.stages.scenes import FPS, blocks, full, measured, posed, problem_of, random_state, rms, scan, tube
@@ -86,9 +86,9 @@ def frame(problem, contact=None):
 
 def one_pass(update, problem, contact, gate=FAR):
     now = frame(problem, contact)
-    fresh = update._replace(evidence=update.evidence._replace(forces=None))  # bending is that of this pass
+    fresh = update._replace(terms=update.terms._replace(forces=None))  # bending is that of this pass
     forces = energies.linearize(now, fresh)
-    return fuse.fuse(now, update, Evidence(problem.measurement, problem.weight, problem.R, forces), gate)
+    return fuse.fuse(now, update, UpdateTerms(problem.measurement, problem.weight, problem.R, forces), gate)
 
 
 def rigid_terms(update, last, problem):
@@ -172,8 +172,8 @@ def test_seen_cloth_that_slips_along_itself_moves_less_rigidly(mesh, cloud, heal
     start, seen = fuse.begin(now._replace(cloud=cloud)), np.arange(mesh.n_vertices) % 2 == 0
     planes = measured(mesh.vertices, at_rest + [0.0, 1.0, 0.0], seen)
     R = np.tile(1e-5 * np.eye(3), (mesh.n_vertices, 1, 1))
-    evidence = Evidence(planes, seen.astype(float), R, energies.linearize(now, start))
-    weight = fuse.fuse(now, start, evidence, FAR).motion.weight
+    terms = UpdateTerms(planes, seen.astype(float), R, energies.linearize(now, start))
+    weight = fuse.fuse(now, start, terms, FAR).motion.weight
     np.testing.assert_allclose(weight[seen], share * weight[~seen])
     assert fuse._yielding(now._replace(cloud=cloud, body=object())) == 1.0
 
@@ -183,8 +183,8 @@ def test_hidden_cloth_of_a_sheet_is_not_stiffened(sheet):
     problem, _ = scene(0)
     now = frame(problem)._replace(reference=InputReference(Sides(0.0, sheet=sheet), 1.0, 1.0))
     start = fuse.begin(now)
-    evidence = Evidence(problem.measurement, problem.weight, problem.R, energies.linearize(now, start))
-    assert (np.ptp(fuse.fuse(now, start, evidence, FAR).rest.weight) == 0) == sheet
+    terms = UpdateTerms(problem.measurement, problem.weight, problem.R, energies.linearize(now, start))
+    assert (np.ptp(fuse.fuse(now, start, terms, FAR).rest.weight) == 0) == sheet
 
 
 # The fused update ---------------------------------------------------------------------------------------------------

@@ -17,8 +17,8 @@ from ddakf.kernels.uncertainty import PatchMeans
 from ddakf.mesh import vertex_normals
 from ddakf.physics import energies, rigidity
 from ddakf.stages import error_size, fuse, uncertainty
-from ddakf.stages.uncertainty import PatchEvidence, bound, marginals
-from ddakf.types import Contacts, Drift, Estimate, Evidence, Health, Problem, State, Track
+from ddakf.stages.uncertainty import PatchStatistics, bound, marginals
+from ddakf.types import Contacts, Drift, Estimate, Health, Problem, State, Track, UpdateTerms
 from tests.lanes import every
 from tests.physics.shapes import sheet
 from tests.stages import dense
@@ -221,8 +221,8 @@ def solved(mesh: Mesh, seen, config=LIMP, seed=0, scale=1.0) -> Solved:
     last = Track(None, None, Drift.at(garment, 0.005), 0.0, Health(), None, None, None)
     frame = problem_of(garment, prior, config, motion_start=mesh.vertices, rotation=rotation, last=last)
     update = fuse.begin(frame)
-    evidence = Evidence(measurement, problem.weight, problem.R, energies.linearize(frame, update))
-    update = fuse.fuse(frame, update, evidence, 1.0)
+    terms = UpdateTerms(measurement, problem.weight, problem.R, energies.linearize(frame, update))
+    update = fuse.fuse(frame, update, terms, 1.0)
     rigid = (
         (mesh.vertices, update.rest.weight, dense.transforms(update.rest)),
         (mesh.vertices, update.motion.weight, dense.transforms(update.motion)),
@@ -254,10 +254,10 @@ def test_stored_blocks_are_the_covariance_given_the_neighbours(seen):
 # The drift, against dense matrices of the MAP problem -----------------------------------------------------------------
 
 
-def evidence_of(run: Solved):
+def patches_of(run: Solved):
     problem = run.problem._replace(model=run.garment, config=LIMP, motion_start=run.prior.position)
     surface = uncertainty.Surface(run.state.position, vertex_normals(run.state.position, run.garment.faces))
-    return uncertainty._evidence(problem, run.update, run.update.planes.weight, surface)
+    return uncertainty._patch_statistics(problem, run.update, run.update.planes.weight, surface)
 
 
 @pytest.mark.parametrize("seen", list(SEEN))
@@ -265,10 +265,10 @@ def evidence_of(run: Solved):
 def test_drift_becomes_the_exact_marginals_where_the_coupling_is_all_that_was_known(name, seen):
     """With a prior that is just what couples the vertices, the gain is the best one, and F P F' + G M G is (C + M)^-1."""
     run = solved(MESHES[name], seen)
-    evidence, n = evidence_of(run), run.garment.mesh.n_vertices
+    patches, n = patches_of(run), run.garment.mesh.n_vertices
     C = run.exact("stretch", "shear", "rigid") + Uncertainty().least_information * np.eye(3 * n)
-    got = uncertainty._updated(problem_of(run.garment, None), np.linalg.inv(C).astype(np.float32), evidence, run.update.system.B)
-    exact = np.linalg.inv(C + dense.blockdiag(evidence.means.information))
+    got = uncertainty._updated(problem_of(run.garment, None), np.linalg.inv(C).astype(np.float32), patches, run.update.system.B)
+    exact = np.linalg.inv(C + dense.blockdiag(patches.means.information))
     ratio = traces(diagonal_blocks(got)) / traces(diagonal_blocks(exact))
     np.testing.assert_allclose(ratio, 1.0, rtol=0.02)
 
@@ -277,14 +277,14 @@ def test_drift_becomes_the_exact_marginals_where_the_coupling_is_all_that_was_kn
 def test_drift_is_the_covariance_of_errors_that_go_through_the_update(seen):
     """Errors drawn from P and noise drawn from M, moved by (C + M)^-1 M: their covariance, in float64, is the recursion's."""
     run = solved(MESHES["larger sheet"], seen)
-    evidence, n = evidence_of(run), run.garment.mesh.n_vertices
+    patches, n = patches_of(run), run.garment.mesh.n_vertices
     root = np.random.default_rng(1).normal(scale=0.003, size=(3 * n, 3 * n))
     P = root @ root.T
-    M = dense.blockdiag(evidence.means.information)
+    M = dense.blockdiag(patches.means.information)
     gain = np.linalg.inv(run.exact("stretch", "shear", "rigid") + Uncertainty().least_information * np.eye(3 * n) + M)
     left, noise = (np.eye(3 * n) - gain @ M) @ root, gain @ np.linalg.cholesky(M + 1e-9 * np.eye(3 * n))
     expected = left @ left.T + noise @ noise.T
-    got = uncertainty._updated(problem_of(run.garment, None), P.astype(np.float32), evidence, run.update.system.B)
+    got = uncertainty._updated(problem_of(run.garment, None), P.astype(np.float32), patches, run.update.system.B)
     assert np.abs(got - expected).max() < 0.01 * np.abs(expected).max()
     best = np.linalg.inv(np.linalg.inv(P) + M)  # no gain does better than the one that suits P
     assert (traces(diagonal_blocks(got)) >= 0.99 * traces(diagonal_blocks(best))).all()
@@ -293,10 +293,10 @@ def test_drift_is_the_covariance_of_errors_that_go_through_the_update(seen):
 @pytest.mark.parametrize("name", list(MESHES))
 def test_measurements_count_as_one_per_patch_for_a_few_frames(name):
     run = solved(MESHES[name], "all")
-    one_each = evidence_of(run).means.information
+    one_each = patches_of(run).means.information
     together = run.garment._replace(patch=np.zeros_like(run.garment.patch), likeness=np.ones((1, 1), np.float32))
     total = run._replace(garment=together)
-    np.testing.assert_allclose(evidence_of(total).means.information[0], one_each.mean(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(patches_of(total).means.information[0], one_each.mean(axis=0), rtol=1e-9)
 
 
 # What is reported -----------------------------------------------------------------------------------------------------
@@ -319,7 +319,7 @@ def test_a_measurement_makes_its_vertex_more_certain():
 def test_a_plane_tells_more_along_its_normal_than_across():
     run = solved(MESHES["tube"], "half")
     covariance, _ = run.report()
-    used = run.update.evidence.weight > 0
+    used = run.update.terms.weight > 0
     n = run.update.planes.normal[used]
     along = np.einsum("va,vab,vb->v", n, covariance[used], n)
     assert (along < 0.5 * (traces(covariance[used]) - along)).all()
@@ -333,7 +333,7 @@ def test_strained_cloth_is_less_certain():
 
 def test_what_moves_unseen_is_less_certain_and_a_rigid_motion_of_all_tells_nothing():
     run = solved(MESHES["tube"], "half")
-    hidden = run.update.evidence.weight == 0
+    hidden = run.update.terms.weight == 0
     position = run.state.position
     turned = position @ np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
     starts = position, position * [1.2, 1.0, 0.8], turned, position + [0.1, 0.0, -0.2]
@@ -345,7 +345,7 @@ def test_what_moves_unseen_is_less_certain_and_a_rigid_motion_of_all_tells_nothi
 
 def test_the_farther_an_unseen_vertex_is_from_the_body_the_less_certain():
     run = solved(MESHES["tube"], "half")
-    unseen = run.update.evidence.weight == 0
+    unseen = run.update.terms.weight == 0
     n = run.garment.mesh.n_vertices
     near, far, beyond = (run.report(clearance=np.full(n, distance))[0] for distance in (0.0, 0.05, np.inf))
     assert (traces(near) < traces(far))[unseen].all()
@@ -356,7 +356,7 @@ def test_the_farther_an_unseen_vertex_is_from_the_body_the_less_certain():
 
 def test_the_looser_the_garment_hangs_on_the_body_the_less_certain_is_what_is_not_seen():
     run = solved(MESHES["tube"], "half")
-    unseen, n = run.update.evidence.weight == 0, run.garment.mesh.n_vertices
+    unseen, n = run.update.terms.weight == 0, run.garment.mesh.n_vertices
     unknown, tight, loose, looser = (
         run.report(clearance=np.zeros(n), slack=slack and np.full(n, slack))[0] for slack in (None, 0.005, 0.05, 0.1)
     )
@@ -395,7 +395,7 @@ def test_the_bases_of_the_laws_scale_the_standard_deviations_of_their_group(seen
         for name, law in (("normal_error", LIMP.normal_error), ("tangential_error", LIMP.tangential_error))
     }
     one, other = run.report()[0], run.report(dataclasses.replace(LIMP, **laws))[0]
-    factor = np.where(run.update.evidence.weight > 0, 4.0, 9.0)[:, None, None]
+    factor = np.where(run.update.terms.weight > 0, 4.0, 9.0)[:, None, None]
     np.testing.assert_allclose(other, factor * one, rtol=1e-9)
 
 
@@ -403,15 +403,15 @@ def test_the_bases_of_the_laws_scale_the_standard_deviations_of_their_group(seen
 @pytest.mark.parametrize("seen", ["all", "half"])
 def test_errors_fade_the_sooner_the_more_is_seen_and_the_more_reliable_it_is(seen, reliability):
     run = solved(MESHES["tube"], seen)
-    evidence, times = evidence_of(run), np.array([0.5, 1.0, 2.0])
-    coverage = evidence.observed.sum() / evidence.size.sum()
+    patches, times = patches_of(run), np.array([0.5, 1.0, 2.0])
+    coverage = patches.observed.sum() / patches.size.sum()
     assert coverage == (1.0 if seen == "all" else 0.5)
     shares = []
     for seconds in times:
         limits = dataclasses.replace(LIMP.uncertainty, return_time=seconds)
         config, health = dataclasses.replace(LIMP, uncertainty=limits), Health(reliability=reliability)
         problem = run.problem._replace(model=run.garment, config=config, health=health)
-        shares.append(uncertainty.remaining(problem, evidence))
+        shares.append(uncertainty.remaining(problem, patches))
     np.testing.assert_allclose(shares, np.exp(-2.0 * reliability * coverage * run.problem.dt / times))
 
 
@@ -454,8 +454,8 @@ def test_innovations_are_remembered_per_second_and_the_first_counts_in_full(befo
     last = Tracker(tube())._track._replace(drift=Drift.at(garment, 0.01)._replace(speed2=before, missed=before * np.eye(3)))
     ones, zeros = np.ones(n), np.zeros(n)
     means = PatchMeans(np.zeros((n, 6)), ones, zeros, 0.04 * ones, zeros, zeros)
-    evidence, coupling = PatchEvidence(ones, ones, means, zeros, False, 0.09 * np.eye(3)), uncertainty.Coupling(None, 0.0, False)
-    grown, speed2, missed = uncertainty._growth(problem_of(garment, last=last, dt=dt), evidence, coupling)
+    patches, coupling = PatchStatistics(ones, ones, means, zeros, False, 0.09 * np.eye(3)), uncertainty.Coupling(None, 0.0, False)
+    grown, speed2, missed = uncertainty._growth(problem_of(garment, last=last, dt=dt), patches, coupling)
     assert speed2 == pytest.approx((1.0 - share) * before + share * 0.04 / dt**2)
     np.testing.assert_allclose(missed, ((1.0 - share) * before + share * 0.09 / dt**2) * np.eye(3))
     assert (grown > 0).all()

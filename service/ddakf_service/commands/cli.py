@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..setting_sources import flag_of
 from ..settings import Settings
-from ..workers.template import Template
+from ..workers.fork_server import ForkServer
 from .later import later
 from .serve_arguments import add_serve_arguments
 
@@ -37,10 +37,10 @@ def register_serve(subparsers: argparse._SubParsersAction) -> None:
 def run_serve(args: argparse.Namespace) -> int:
     """Runs ``serve`` with parsed arguments."""
     elsewhere = (args.setting_worker_kind or os.environ.get("DDAKF_WORKER_KIND")) == "ray"
-    template = None if args.print_config or elsewhere else Template()  # loads while this process imports gRPC and FastAPI
+    fork_server = None if args.print_config or elsewhere else ForkServer()  # loads while this process imports gRPC and FastAPI
     from .serve import serve  # which would slow down every other command
 
-    return serve(args, template)
+    return serve(args, fork_server)
 
 
 def register_keys(subparsers: argparse._SubParsersAction) -> None:

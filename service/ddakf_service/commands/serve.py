@@ -23,7 +23,7 @@ from ..observability.logs import configure_logging
 from ..server import Addresses, Server
 from ..setting_sources import SettingSource, load, shown, unknown_variables
 from ..settings import ENV_PREFIX, Settings
-from ..workers.template import Template, WorkerStartFailed
+from ..workers.fork_server import ForkServer, WorkerStartFailed
 
 Announcer = "ConsoleAnnouncer | JsonAnnouncer | LogAnnouncer"
 EXIT_FAILED, EXIT_MISUSED = 1, 2
@@ -31,11 +31,11 @@ EXIT_FAILED, EXIT_MISUSED = 1, 2
 log = logging.getLogger(__name__)
 
 
-def serve(args: argparse.Namespace, template: Template | None = None) -> int:
+def serve(args: argparse.Namespace, fork_server: ForkServer | None = None) -> int:
     """Runs the service until a signal and returns the exit status.
 
     Args:
-        template: of the workers, launched earlier.
+        fork_server: of the workers, launched earlier.
     """
     flags = {name: v for name in Settings.model_fields if (v := getattr(args, f"setting_{name}")) is not None}
     try:
@@ -46,7 +46,7 @@ def serve(args: argparse.Namespace, template: Template | None = None) -> int:
         if args.print_config:
             _print_settings(settings, sources, args.json)
             return 0
-        return _serve(settings, args.json, args.with_parent, template)
+        return _serve(settings, args.json, args.with_parent, fork_server)
     except InvalidConfig as error:
         print(f"ddakf serve: {error}", file=sys.stderr)
         return EXIT_MISUSED
@@ -55,14 +55,14 @@ def serve(args: argparse.Namespace, template: Template | None = None) -> int:
         return EXIT_FAILED
 
 
-def _serve(settings: Settings, as_json: bool, with_parent: bool, template: Template | None) -> int:
+def _serve(settings: Settings, as_json: bool, with_parent: bool, fork_server: ForkServer | None) -> int:
     # The workers read these, so that their log lines have the server's format.
     os.environ.update({f"{ENV_PREFIX}LOG_LEVEL": settings.log_level, f"{ENV_PREFIX}LOG_FORMAT": settings.log_format})
     _allow_connections()
     announcer = JsonAnnouncer() if as_json else LogAnnouncer() if settings.log_format == "json" else ConsoleAnnouncer()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         try:
-            runner.run(_run(settings, announcer, with_parent, template))
+            runner.run(_run(settings, announcer, with_parent, fork_server))
         finally:
             announcer.close()
     return 0
@@ -79,8 +79,8 @@ def _allow_connections() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
-async def _run(settings: Settings, announcer: Announcer, with_parent: bool, template: Template | None) -> None:
-    server = Server(settings, template)  # gRPC binds it to the running loop
+async def _run(settings: Settings, announcer: Announcer, with_parent: bool, fork_server: ForkServer | None) -> None:
+    server = Server(settings, fork_server)  # gRPC binds it to the running loop
     if with_parent:
         await _call_at_end_of_input(server.stop)
     await server.run(announcer.progress, announcer.ready)

@@ -11,11 +11,11 @@ from time import monotonic
 from ddakf_api.errors import DeadlineExceeded, ResourceExhausted, ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from .fork_server import ForkedWorkers, ForkServer, WorkerSource
 from .messages import wire
 from .placement import Placement, Turn
 from .pool import RETRY_AFTER, UNKNOWN, Health, Limits, Memory, OnLost, Progress, worker_lost
 from .roster import Roster
-from .template import Template, Templates, WorkerSource
 from .worker import Worker
 
 log = logging.getLogger(__name__)
@@ -37,8 +37,8 @@ class LocalPool:
         recycle_memory: a worker is replaced in order at so many resident bytes; 0: never.
         on_lost: called with the ids of the sessions lost with a worker.
         on_change: called when ``health()`` may have changed.
-        template: of the workers, launched earlier.
-        source: of workers elsewhere; None: forks of the template.
+        fork_server: of the workers, launched earlier.
+        source: of workers elsewhere; None: forks of the fork server.
     """
 
     def __init__(
@@ -54,14 +54,14 @@ class LocalPool:
         recycle_memory: int = 0,
         on_lost: OnLost = lambda ids: None,
         on_change=lambda: None,
-        template: Template | None = None,
+        fork_server: ForkServer | None = None,
         source: WorkerSource | None = None,
     ):
         self._frame_timeout, self._max_memory, self._on_lost = frame_timeout, max_memory, on_lost
         self._placements: dict[str, Placement] = {}  # by session id
         self._roster = Roster(
             size,
-            source or Templates(limits, template),
+            source or ForkedWorkers(limits, fork_server),
             spares=spares,
             warm_timeout=warm_timeout,
             recycle_frames=recycle_frames,

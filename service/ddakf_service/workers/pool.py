@@ -12,7 +12,7 @@ from ddakf_api.errors import WorkerLost
 
 _LIMIT_VERTICES, _LIMIT_POINTS = 20_000, 100_000  # for each of these a frame may use as much again
 
-RETRY_AFTER = 1.0  # seconds; a worker is replaced in less, a lost template in two or three times as long
+RETRY_AFTER = 1.0  # seconds; a worker is replaced in less, a lost fork server in two or three times as long
 
 # Called with ("loading" or "compiling", done steps, total, name of the next) while the kernels are loaded.
 Progress = Callable[[str, int, int, str], None]

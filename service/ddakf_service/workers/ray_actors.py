@@ -19,9 +19,9 @@ from typing import Any
 import ray
 from ray.exceptions import RayError
 
+from .fork_server import STREAM_BUFFER, Connected, WorkerStartFailed
 from .messages import wire
 from .pool import Limits, Progress
-from .template import STREAM_BUFFER, Connected, WorkerStartFailed
 
 log = logging.getLogger(__name__)
 

@@ -9,8 +9,8 @@ from collections.abc import Awaitable, Callable, Coroutine
 
 from ddakf_api.errors import Unavailable
 
+from .fork_server import WorkerSource, WorkerStartFailed
 from .pool import Health, Progress
-from .template import WorkerSource, WorkerStartFailed
 from .worker import EXIT_PATIENCE, Worker
 
 log = logging.getLogger(__name__)
@@ -81,7 +81,7 @@ class Roster:
         return Health(len(self.accepting), self._size, self._restarts, len(self._spares), self._recycled)
 
     async def stop(self) -> None:
-        """Ends all workers and the template."""
+        """Ends all workers and the fork server."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)

@@ -17,9 +17,9 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from .compute.lanes import FRAMES
 from .fair_shares import FairShares
+from .fork_server import Process, WorkerSource, WorkerStartFailed, ended
 from .messages import wire
 from .pool import UNKNOWN, Memory, Progress, worker_lost
-from .template import Process, WorkerSource, WorkerStartFailed, ended
 
 log = logging.getLogger(__name__)
 

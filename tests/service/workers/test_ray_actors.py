@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from ddakf_service.workers.template import WorkerStartFailed
+from ddakf_service.workers.fork_server import WorkerStartFailed
 
 from .test_pool import LIMITS
 

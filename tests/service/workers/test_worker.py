@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 from ddakf_api.errors import WorkerLost
+from ddakf_service.workers.fork_server import Connected
 from ddakf_service.workers.messages import wire
 from ddakf_service.workers.pool import may_be_cause
-from ddakf_service.workers.template import Connected
 from ddakf_service.workers.worker import Worker
 
 

@@ -99,7 +99,7 @@ class _WithVelocityRows(Tracker):
     @staticmethod
     def _geometric(problem, estimate) -> np.ndarray:
         """(V, 3) positions after the geometric update, before the physics step: p + P_pp (P_pp + R / w)^-1 y."""
-        prior, (measurement, weight, R, _) = problem.prior, estimate.evidence
+        prior, (measurement, weight, R, _) = problem.prior, estimate.terms
         S = prior.P_pp + R / np.maximum(weight, 1e-9)[:, None, None]
         gain = prior.P_pp @ inverse_blocks(S) * (weight > 0)[:, None, None]
         return prior.position + np.einsum("vab,vb->va", gain, measurement.innovation(prior.position))

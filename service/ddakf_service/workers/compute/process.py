@@ -1,4 +1,4 @@
-"""Main program of the template process, and of the workers that are forked from it.
+"""Main program of the fork server, and of the workers that are forked from it.
 
 Run as ``python -m ddakf_service.workers.compute.process SERVER DESCRIPTOR fork|single``; SERVER is the server's process id.
 The process writes a line for each step of its warm-up to the socket of the descriptor, reads a line of settings from it, writes
@@ -40,7 +40,7 @@ def main(server: int, descriptor: int, forks: bool) -> None:
     # Ctrl-C or a stop reaches the whole process group, but the server ends its workers by closing their pipes.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    _attach(server, "ddakf-template")
+    _attach(server, "ddakf-forkserv")
     control = socket.socket(fileno=descriptor)
     warmup.warm(lambda *step: control.sendall(json.dumps(step).encode() + b"\n"))  # before the server has read its settings
     setup = json.loads(control.makefile("rb").readline() or "null")

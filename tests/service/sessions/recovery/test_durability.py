@@ -23,7 +23,7 @@ from ddakf_service.store.files.checkpoints import unpack
 from ddakf_service.workers.pool import worker_lost
 from ports import lasting_port
 
-from ...conftest import TIMEOUT, Api, Talk, eventually, frame_of, request_of, running, template, workers
+from ...conftest import TIMEOUT, Api, Talk, eventually, fork_server, frame_of, request_of, running, workers
 
 pytestmark = pytest.mark.slow
 
@@ -137,7 +137,7 @@ def test_without_a_spare_frames_wait_and_who_asks_is_told(restartable, sheet):
     name = api.create(sheet).name
     talk = Talk(api, name)
     talk.ask(frame_of(sheet, 1))
-    source = template(service.pid)
+    source = fork_server(service.pid)
     os.kill(source, signal.SIGSTOP)
     os.kill(worker_of(service), signal.SIGKILL)
     talk.send(frame_of(sheet, 2))

@@ -1,4 +1,4 @@
-"""Template: the process from which workers are forked, with real processes."""
+"""Fork server: the process from which workers are forked, with real processes."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 import pytest_asyncio
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.workers.fork_server import ForkedWorkers, WorkerStartFailed
 from ddakf_service.workers.messages import wire
-from ddakf_service.workers.template import Templates, WorkerStartFailed
 from ddakf_service.workers.worker import Worker
 
 from ..conftest import children, frame_of, is_running, name_of
@@ -29,10 +29,10 @@ def steps(*_) -> None:
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def templates():
-    templates = Templates(LIMITS)
-    yield templates
-    await templates.end(patience=5)
+async def source():
+    source = ForkedWorkers(LIMITS)
+    yield source
+    await source.end(patience=5)
 
 
 async def tracked(worker: Worker, sheet, *, codec_name: str = "raw") -> pb.Result:
@@ -48,17 +48,17 @@ def threads(pid: int) -> int:
 
 
 @ONLY_ON_LINUX
-async def test_a_fork_of_one_thread_is_a_child_of_this_process_and_outlives_its_template(templates, sheet):
-    worker = await Worker.start(templates, 300, steps)
-    template = templates._template.process
-    assert threads(template.pid) == 1
+async def test_a_fork_of_one_thread_is_a_child_of_this_process_and_outlives_its_fork_server(source, sheet):
+    worker = await Worker.start(source, 300, steps)
+    fork_server = source._fork_server.process
+    assert threads(fork_server.pid) == 1
     assert worker.process.pid in children(os.getpid())
-    template.kill()
-    await asyncio.to_thread(template.wait)
+    fork_server.kill()
+    await asyncio.to_thread(fork_server.wait)
     assert (await tracked(worker, sheet)).sequence_number == 1
     with pytest.raises((WorkerStartFailed, OSError)):
-        await Worker.start(templates, 300, steps)
-    successor = await Worker.start(templates, 300, steps)
+        await Worker.start(source, 300, steps)
+    successor = await Worker.start(source, 300, steps)
     assert (await tracked(successor, sheet)).sequence_number == 1
     for each in (worker, successor):
         await each.end()
@@ -66,8 +66,8 @@ async def test_a_fork_of_one_thread_is_a_child_of_this_process_and_outlives_its_
 
 
 @ONLY_ON_LINUX
-async def test_a_killed_worker_leaves_neither_its_decoder_nor_a_zombie(templates, sheet):
-    worker = await Worker.start(templates, 300, steps)
+async def test_a_killed_worker_leaves_neither_its_decoder_nor_a_zombie(source, sheet):
+    worker = await Worker.start(source, 300, steps)
     assert (await tracked(worker, sheet, codec_name="draco")).sequence_number == 1
     (decoder,) = children(worker.process.pid)
     os.kill(worker.process.pid, signal.SIGKILL)
@@ -78,26 +78,26 @@ async def test_a_killed_worker_leaves_neither_its_decoder_nor_a_zombie(templates
 
 
 @ONLY_ON_LINUX
-async def test_a_template_that_hangs_is_replaced(templates, sheet):
-    await (await Worker.start(templates, 300, steps)).end()
-    hanging = templates._template.process
+async def test_a_fork_server_that_hangs_is_replaced(source, sheet):
+    await (await Worker.start(source, 300, steps)).end()
+    hanging = source._fork_server.process
     os.kill(hanging.pid, signal.SIGSTOP)
     with pytest.raises(WorkerStartFailed, match="not ready after 1 s"):
-        await Worker.start(templates, 1, steps)
+        await Worker.start(source, 1, steps)
     assert hanging.poll() == -signal.SIGKILL
-    worker = await Worker.start(templates, 300, steps)
+    worker = await Worker.start(source, 300, steps)
     assert name_of(worker.process.pid) == "ddakf-worker"
     await worker.end()
 
 
 @pytest.mark.slow
-async def test_where_nothing_may_be_forked_each_worker_has_a_template_of_its_own(sheet):
-    templates, said = Templates(LIMITS, forks=False), []
-    workers = [await Worker.start(templates, 300, lambda *step: said.append(step)) for _ in range(2)]
+async def test_where_nothing_may_be_forked_each_worker_has_a_fork_server_of_its_own(sheet):
+    source, said = ForkedWorkers(LIMITS, forks=False), []
+    workers = [await Worker.start(source, 300, lambda *step: said.append(step)) for _ in range(2)]
     assert [step[1] for step in said if step[0] == "loading"] == [*range(said[-1][2] + 1)] * 2
     for worker in workers:
         assert isinstance(worker.process, subprocess.Popen)
         assert (await tracked(worker, sheet)).sequence_number == 1
         await worker.end()
         assert worker.process.wait() == 0
-    await templates.end()
+    await source.end()

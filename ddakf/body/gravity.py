@@ -1,4 +1,4 @@
-"""Weight of cloth: gravity, and the acceleration of a body under it, as a force of the MAP problem (not in the paper).
+"""Gravity: the weight of cloth, and the acceleration of a body under it, as a force of the MAP problem (not in the paper).
 
 Where the track starts, elastic forces and what carries the garment balance the weight. The strain there that is not at rest still
 draws, up from the hems and down from the top, and so much of the weight draws against it, see :func:`at_start`. On a body, from
@@ -68,11 +68,11 @@ def force(problem: Problem, rotation: np.ndarray) -> np.ndarray | None:
     model, config, up = problem.model, problem.config.physics, problem.config.start.to_y_up[1]
     if problem.body is None or config.weight == 0:
         return None
-    draws = 0.0 if problem.resting is None else problem.resting.upward[:, None] * up
+    start_force = 0.0 if problem.resting is None else problem.resting.upward[:, None] * up
     if problem.anchored is None:  # the body does not hold the garment yet, which would fall
-        return None if problem.resting is None else draws
+        return None if problem.resting is None else start_force
     direction = (rotation @ up) * (1.0 - _pressed(problem, up))[:, None] - up - _left_behind(problem)
-    return config.weight * model.area / len(direction) * model.vertex_share[:, None] * direction + draws
+    return config.weight * model.area / len(direction) * model.vertex_share[:, None] * direction + start_force
 
 
 def add_to_seen(problem: Problem, observed: np.ndarray, force: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""Handedness: garments inside out or of uncertain heading, clouds that curve toward their sensor, and clouds upside down."""
+"""Orientation: garments inside out or of uncertain heading, clouds that curve toward their sensor, and clouds upside down."""
 
 from __future__ import annotations
 

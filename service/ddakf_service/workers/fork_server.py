@@ -1,7 +1,7 @@
-"""Template: a process that has loaded all that a worker needs, and the workers forked from it.
+"""Fork server: a process that has loaded all that a worker needs, and the workers forked from it.
 
 It has one thread and no gRPC: a fork of it is a complete worker, ready in milliseconds, which shares its memory and becomes a
-child of the server. On other systems than Linux, whose frameworks forbid forks, a template becomes the worker itself.
+child of the server. On other systems than Linux, whose frameworks forbid forks, a fork server becomes the worker itself.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-if TYPE_CHECKING:  # this module has to be imported within milliseconds, see Template
+if TYPE_CHECKING:  # this module has to be imported within milliseconds, see ForkServer
     from .pool import Limits, Progress
 
 FORKS = sys.platform == "linux"
@@ -72,8 +72,8 @@ class WorkerSource(Protocol):
         """Gives back what the source itself has; its workers go on."""
 
 
-class Template:
-    """A template process, from its launch.
+class ForkServer:
+    """A fork server process, from its launch.
 
     ``ddakf serve`` launches one before it imports gRPC and the web framework: both load at the same time.
     """
@@ -94,7 +94,7 @@ class Template:
         self._loaded = False
 
     async def load(self, limits: Limits, progress: Progress) -> None:
-        """Returns when the template has loaded the kernels and tracked a frame; at once if it has.
+        """Returns when the fork server has loaded the kernels and tracked a frame; at once if it has.
 
         Raises:
             WorkerStartFailed: it ended before. OSError: it is gone.
@@ -116,63 +116,63 @@ class Template:
         """Asks for a worker; returns the server's end of its pipe.
 
         Raises:
-            OSError: the template is gone.
+            OSError: the fork server is gone.
         """
         with _ends() as (ours, theirs):
             socket.send_fds(self._control, [b"w"], [theirs.fileno()])
         return ours
 
     def leave(self) -> None:
-        """Closes the socket: a template that waits for it ends, a worker that it has become goes on."""
+        """Closes the socket: a fork server that waits for it ends, a worker that it has become goes on."""
         if self._writer is not None:
             self._writer.close()
         self._control.close()
 
     async def end(self, patience: float = 0.0) -> None:
-        """Ends the template; kills it after ``patience`` seconds, or at once while it loads. Its workers go on."""
+        """Ends the fork server; kills it after ``patience`` seconds, or at once while it loads. Its workers go on."""
         self.leave()
         await ended(self.process, patience if self._loaded else 0.0)
 
 
-class Templates:
-    """Source of workers: a template process, launched again when it is lost.
+class ForkedWorkers:
+    """Source of workers: a fork server, launched again when it is lost.
 
     Args:
-        template: one that was launched earlier.
+        fork_server: one that was launched earlier.
     """
 
-    def __init__(self, limits: Limits, template: Template | None = None, *, forks: bool = FORKS):
-        self._limits, self._template, self._forks = limits, template, forks
+    def __init__(self, limits: Limits, fork_server: ForkServer | None = None, *, forks: bool = FORKS):
+        self._limits, self._fork_server, self._forks = limits, fork_server, forks
         self._lock = asyncio.Lock()
 
     async def worker(self, progress: Progress) -> Connected:
         """A ready worker process.
 
         Raises:
-            WorkerStartFailed, OSError: there is none; the next call launches another template.
+            WorkerStartFailed, OSError: there is none; the next call launches another fork server.
         """
         async with self._lock:
-            template = self._template = self._template or Template(self._forks)
+            fork_server = self._fork_server = self._fork_server or ForkServer(self._forks)
             try:
-                await template.load(self._limits, progress)
-                connected = await _connected(template.connect(), None if self._forks else template.process)
+                await fork_server.load(self._limits, progress)
+                connected = await _connected(fork_server.connect(), None if self._forks else fork_server.process)
             except BaseException:
                 await self.end()
                 raise
             if not self._forks:
-                self._template = None
-                template.leave()
+                self._fork_server = None
+                fork_server.leave()
             return connected
 
     async def end(self, patience: float = 0.0) -> None:
-        """Ends the template, if any."""
-        template, self._template = self._template, None
-        if template is not None:
-            await template.end(patience)
+        """Ends the fork server, if any."""
+        fork_server, self._fork_server = self._fork_server, None
+        if fork_server is not None:
+            await fork_server.end(patience)
 
 
 class ForkedProcess:
-    """A worker that the template forked and this process adopted; it leads a process group, with its Draco decoder."""
+    """A worker that the fork server forked and this process adopted; it leads a process group, with its Draco decoder."""
 
     def __init__(self, pid: int):
         self.pid = pid

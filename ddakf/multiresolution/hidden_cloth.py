@@ -11,8 +11,9 @@ from math import exp
 
 import numpy as np
 
-from ddakf.kernels import follow as kernels
+from ddakf.kernels import hidden_cloth as kernels
 from ddakf.kernels.cluster_alignment import centers
+from ddakf.kernels.rigid_motion import moments
 from ddakf.stages.error_size import along_cloth
 from ddakf.types import Estimate, Posterior, Problem
 
@@ -22,7 +23,7 @@ SEEN, FOLLOWED = (0.02, 0.04, 0.5, 0.7), (0.0, 1.0, 1.0, 0.0)
 FARTHEST = 1e-6  # weight of seen cloth at any distance: where none is near, all of it counts
 
 
-def follow(problem: Problem, estimate: Estimate, posterior: Posterior) -> tuple[Posterior, np.ndarray | None]:
+def follow_seen(problem: Problem, estimate: Estimate, posterior: Posterior) -> tuple[Posterior, np.ndarray | None]:
     """The posterior whose hidden cloth is drawn to where the seen cloth carries it, and by how much it is shown nearer still.
 
     The state moves slowly, with time constant ``time``: it keeps what the forces say. What is shown is a mean of both estimates.
@@ -59,7 +60,7 @@ def _motions(start: np.ndarray, position: np.ndarray, seen: np.ndarray, problem:
     gaps = np.square(center[:, None] - center[None]).sum(axis=2)
     near = np.exp(-0.5 * gaps / problem.config.follow.reach**2) + FARTHEST
     of_cluster = np.empty((len(center), 16))
-    kernels.moments(start, position, seen, model.cluster, of_cluster)
+    moments(start, position, seen, model.cluster, of_cluster)
     sums = near @ of_cluster
     before, now = sums[:, 1:4] / sums[:, :1], sums[:, 4:7] / sums[:, :1]
     covariance = sums[:, 7:].reshape(-1, 3, 3) / sums[:, :1, None] - before[:, :, None] * now[:, None, :]

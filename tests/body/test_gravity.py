@@ -1,4 +1,4 @@
-"""Weight of cloth: what of it the start does not balance, and what strain of the start balances."""
+"""Gravity: the weight of cloth that the start does not balance, and what strain of the start balances."""
 
 import dataclasses
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ddakf import Config, Mesh, Tracker
-from ddakf.body import body_anchor, contact, weight
+from ddakf.body import body_anchor, contact, gravity
 from ddakf.config import Physics
 from ddakf.garment import model
 from ddakf.kernels import strain as strain_kernels
@@ -35,7 +35,7 @@ def frame(physics=None, velocity=None, carried=None, contacts=None, dt=1 / FPS):
 def force_of(problem, rotation=UPRIGHT):
     """(V, 3) force over that of the weight of each vertex."""
     areas = GARMENT.area / V * GARMENT.vertex_share.astype(float)
-    return weight.force(problem, rotation) / (problem.config.physics.weight * areas)[:, None]
+    return gravity.force(problem, rotation) / (problem.config.physics.weight * areas)[:, None]
 
 
 def resting_on(normal) -> contact.Contacts:
@@ -60,7 +60,7 @@ def test_cloth_that_has_turned_hangs_another_way():
 
 def test_the_weight_is_that_of_the_cloth_and_not_of_its_vertices():
     turned = np.tile(about([1.0, 0.0, 0.0], np.pi), (V, 1, 1))
-    total = weight.force(frame(), turned).sum(axis=0)
+    total = gravity.force(frame(), turned).sum(axis=0)
     np.testing.assert_allclose(total, 2.0 * Physics.weight * GARMENT.area * DOWN, rtol=1e-4, atol=1e-6)
 
 
@@ -72,7 +72,7 @@ def test_a_body_that_accelerates_leaves_its_cloth_behind(dt):
     np.testing.assert_allclose(force_of(steady), 0.0, atol=1e-9)
     faster = frame(velocity=moving, carried=dt * (moving + dt * acceleration), dt=dt)
     np.testing.assert_allclose(
-        force_of(faster), np.tile(-Physics.inertia * acceleration / weight.GRAVITY, (V, 1)), rtol=1e-5, atol=1e-9
+        force_of(faster), np.tile(-Physics.inertia * acceleration / gravity.GRAVITY, (V, 1)), rtol=1e-5, atol=1e-9
     )
 
 
@@ -90,8 +90,8 @@ def test_cloth_is_pressed_onto_surface_that_carries_it_and_onto_no_wall():
 
 def test_without_a_hold_there_is_no_weight():
     held = frame()
-    assert weight.force(held._replace(anchored=None), UPRIGHT) is None
-    assert weight.force(frame(Physics(weight=0.0)), UPRIGHT) is None
+    assert gravity.force(held._replace(anchored=None), UPRIGHT) is None
+    assert gravity.force(frame(Physics(weight=0.0)), UPRIGHT) is None
 
 
 # Of strain that is not at rest ----------------------------------------------------------------------------------------
@@ -133,7 +133,7 @@ def test_what_draws_does_the_work_of_the_strain():
     elastic = -np.mean(energies, axis=0) @ (stretched - position)[:, 1]
     weights = config.physics.weight * GARMENT.area * GARMENT.vertex_share / GARMENT.vertex_share.sum()
     share = elastic / (size * weights @ below)
-    assert 0.0 < share < weight.MOST
+    assert 0.0 < share < gravity.MOST
     carries = resting.upward + share * weights  # what is left is of the cloth that carries
     assert carries.min() > 0.0
     assert carries.sum() == pytest.approx(share * weights.sum(), rel=1e-3)
@@ -142,7 +142,7 @@ def test_what_draws_does_the_work_of_the_strain():
 def test_noise_and_a_squeezed_start_draw_no_more_than_the_weight_could():
     rng, areas = np.random.default_rng(0), GARMENT.area * GARMENT.vertex_share / GARMENT.vertex_share.sum()
     noisy = resting_at(MESH.vertices + 0.01 * rng.normal(size=(V, 3))).upward
-    assert (noisy >= -weight.MOST * Physics.weight * areas * 1.001).all()
+    assert (noisy >= -gravity.MOST * Physics.weight * areas * 1.001).all()
     assert np.abs(resting_at(MESH.vertices * [1.0, 0.97, 1.0]).upward).max() == 0.0
 
 
@@ -150,13 +150,13 @@ def test_only_what_is_seen_is_drawn():
     problem = frame()._replace(body=None, anchored=None, resting=resting_at(HANGING))
     observed = MESH.vertices[:, 0] > 0
     force = np.zeros((V, 4))
-    weight.add_to_seen(problem, observed, force)
+    gravity.add_to_seen(problem, observed, force)
     assert np.abs(force[observed]).max() > 0.0
     assert (force[~observed] == 0).all()
     np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-9 * np.abs(force).sum())
     nothing = np.zeros((V, 4))
-    weight.add_to_seen(problem, np.zeros(V, bool), nothing)
-    weight.add_to_seen(problem._replace(resting=None), observed, nothing)
+    gravity.add_to_seen(problem, np.zeros(V, bool), nothing)
+    gravity.add_to_seen(problem._replace(resting=None), observed, nothing)
     assert (nothing == 0).all()
 
 

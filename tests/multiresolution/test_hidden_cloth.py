@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ddakf import Config, Mesh, Tracker, snapshot
-from ddakf.multiresolution import follow
+from ddakf.multiresolution import hidden_cloth
 from tests.stages.scenes import inner_body, scan, tube
 
 GARMENT = tube()
@@ -98,7 +98,7 @@ def test_what_is_shown_does_not_jump_where_more_and_more_is_seen():
         seen = np.zeros(len(order), bool)
         seen[order[:count]] = True
         posterior = SimpleNamespace(state=track.state, _replace=lambda state: state)
-        _, offset = follow.follow(problem, SimpleNamespace(learnable=seen), posterior)
+        _, offset = hidden_cloth.follow_seen(problem, SimpleNamespace(learnable=seen), posterior)
         sizes.append(0.0 if offset is None else np.linalg.norm(offset, axis=1).max())
     assert sizes[-1] == 0 < sizes[0]
     assert np.abs(np.diff(sizes)).max() < 0.15 * max(sizes)
@@ -109,7 +109,7 @@ def test_a_rigid_motion_is_found_whatever_is_seen():
     model, rng = tracker._setup.model, np.random.default_rng(0)
     start, truth = GARMENT.vertices, turned(GARMENT.vertices, 0.7) + [0.1, 0.2, 0.3]
     problem = type("Frame", (), {"model": model, "config": Config()})
-    rotation, translation = follow._motions(start, truth, rng.random(len(start)) < 0.5, problem)
+    rotation, translation = hidden_cloth._motions(start, truth, rng.random(len(start)) < 0.5, problem)
     np.testing.assert_allclose(start @ rotation[0].T + translation[0], truth, atol=1e-9)
     assert np.allclose(np.linalg.det(rotation), 1.0)
 

@@ -1,29 +1,6 @@
-"""Hidden cloth: moments of the seen cloth, and the places to which its rigid motions carry the vertices."""
+"""Hidden cloth: the places to which the rigid motions of the seen cloth carry the vertices."""
 
 from numba import njit
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def moments(start, position, seen, cluster, out):
-    """Sums over the seen vertices of each cluster: their number, both places, and the products of both.
-
-    Args:
-        start: (V, 3) metres, places where the track started.
-        position: (V, 3) metres, places now.
-        seen: (V,) bool.
-        cluster: (V,) of each vertex, in [0, K).
-        out: (K, 16).
-    """
-    out[:] = 0.0
-    for i in range(position.shape[0]):
-        if seen[i]:
-            row = out[cluster[i]]
-            row[0] += 1.0
-            for a in range(3):
-                row[1 + a] += start[i, a]
-                row[4 + a] += position[i, a]
-                for b in range(3):
-                    row[7 + 3 * a + b] += start[i, a] * position[i, b]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

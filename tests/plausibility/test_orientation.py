@@ -1,4 +1,4 @@
-"""Handedness: meshes inside out, clouds seen from the wrong side."""
+"""Orientation: meshes inside out, clouds seen from the wrong side."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ import pytest
 
 from ddakf import Config, Mesh, Tracker
 from ddakf.config import Start
-from ddakf.plausibility.handedness import HOLLOW, fallen, outward
+from ddakf.plausibility.orientation import HOLLOW, fallen, outward
 from tests.stages.scenes import FPS, scan, turn
 from tests.tracker_runs import BODY, EYE, SAMPLE, SHIRT, TUBE, WEARER, cloud
 
