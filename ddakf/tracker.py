@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import logging
 from math import inf
 from weakref import WeakValueDictionary
 
@@ -40,6 +41,8 @@ from ddakf.types import (
     Track,
     variances,
 )
+
+log = logging.getLogger(__name__)
 
 
 class Tracker:
@@ -275,6 +278,8 @@ class Tracker:
 def _constants(garment: Mesh, body: Mesh | None, config: Config, known: Setup | None = None) -> Discretised:
     """What is constant for a tracker; ``known`` is that of the same body, whose search tree is used again."""
     working = working_mesh.build(garment, config.discretisation)
+    if known is None and working.doubt:
+        log.warning("%s", working.doubt)
     cloth, under = model.build(working.mesh, config), None
     if body is not None:
         under = contact.build(body, config.predict.carry_reach, config.physics.collision_reach, known and known.body)
