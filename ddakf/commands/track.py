@@ -107,6 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
             _report(arguments, source, scores, album)
         raise
     _report(arguments, source, scores, album)
+    _doubt_axes(arguments, source, config, scores.summary(), console)
     if scores.summary()["empty_frames"] == len(source):
         got = f"{arguments.path}, all of whose {len(source)} have none"
         raise InvalidArgument("path", "frames with points of the garment", got)
@@ -131,6 +132,21 @@ def _report(arguments: argparse.Namespace, source, scores, album: _Album | None)
     print(json.dumps(summary)) if arguments.json else Console().print(table(source.title, summary))
     if failures:
         raise failures[0]
+
+
+def _doubt_axes(arguments: argparse.Namespace, source, config, summary: dict, console: Console) -> None:
+    """Says after a search in vain how the template has to be turned, if that helps."""
+    import ddakf
+    from ddakf.evaluation.tracking import axes
+
+    searched = source.start is None and summary["rmse_mm"] is None  # in a recording, whose axes nobody knows
+    if arguments.server or arguments.paper or not searched or summary["empty_frames"] == len(source):
+        return
+    if summary["reliability"] >= axes.DOUBTED:
+        return
+    console.print("The template was hardly found: turns of it are tried", soft_wrap=True)
+    if said := axes.fitting_turn(source, config or ddakf.Config()):
+        console.print(said, markup=False, soft_wrap=True)
 
 
 def _save_meshes(folder: str, scores) -> None:

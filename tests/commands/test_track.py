@@ -281,6 +281,15 @@ def test_a_template_may_be_in_another_unit_than_the_clouds(capsys, tmp_path):
     assert "template_unit: expected that of the files" in capsys.readouterr().err
 
 
+def test_a_template_of_other_axes_is_told_how_to_turn_it(capsys, tmp_path):
+    """Clouds with z up were recovering at a reliability of 0, without a word of the cause."""
+    clouds, *template = _clouds(tmp_path / "clouds", 6)
+    for path in clouds.iterdir():
+        io.write_points(path, io.read_points(path)[:, [0, 2, 1]] * [1, -1, 1])
+    assert _track(clouds, *template) == 0
+    assert "template: expected the axes of the points; turned to [x, -z, y] it fits" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
