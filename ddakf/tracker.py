@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import logging
 from math import inf
 from weakref import WeakValueDictionary
 
@@ -41,6 +42,8 @@ from ddakf.types import (
     variances,
 )
 
+log = logging.getLogger(__name__)
+
 # of all trackers in this process: they are large, take long to build, and never change
 _CONSTANTS: WeakValueDictionary[tuple[bytes, bytes | None, Config], Discretised] = WeakValueDictionary()
 
@@ -72,6 +75,8 @@ class Tracker:
         self.config = Config() if config is None else config
         self.garment, self.body = garment, body
         self._discretised = _constants(garment, body, self.config)
+        if self._working.doubt:
+            log.warning("%s", self._working.doubt)
         self.reset()
         first_frame.load_kernels(Tracker, self.config, body is not None)
 

@@ -93,6 +93,8 @@ def run(arguments: argparse.Namespace) -> int:
     plan = StudyPlan(sequences, methods, views, arguments.runs or RUNS, arguments.frames, settings)
     plan.check()
     plan.require_all_frames()
+    if plan.unheeded() and arguments.view != "full":
+        raise InvalidArgument("view", "none for recordings of real sensors, which saw what they saw", arguments.view)
     console, again = Console(stderr=True), systems_again(arguments.again, plan.systems)
     result = run_study(plan, arguments.json, arguments.procs, console, again, **_how(arguments))
     shown = Console()

@@ -24,7 +24,7 @@ def add(parser: argparse.ArgumentParser, *, several_views: bool = False) -> argp
         group.add_argument("--view", default="full", metavar="V,W", help=f"{what} (default full)")
     else:
         what = "views of a sequence: full (points all around), front (one depth camera, the default) or ring4 (four)"
-        group.add_argument("--view", choices=("full", "front", "ring4"), default="front", help=what)
+        group.add_argument("--view", choices=("full", "front", "ring4"), help=what)
     group.add_argument(
         "--points", type=int, default=10_000, metavar="N", help="at most this many points per frame (default 10000)"
     )
@@ -57,7 +57,7 @@ def add(parser: argparse.ArgumentParser, *, several_views: bool = False) -> argp
     )
     group.add_argument("--occlude", metavar="FROM:TO", help="frames in which the wearer's left side is hidden")
     group.add_argument(
-        "--occluded", type=float, default=0.4, metavar="SHARE", help="share of the garment that --occlude hides (default 0.4)"
+        "--occluded", type=float, metavar="SHARE", help="share of the garment that --occlude hides (default 0.4)"
     )
     group.add_argument("--every", type=int, default=1, metavar="N", help="take every N-th frame only (default 1)")
     return group
@@ -72,18 +72,23 @@ def sensor(arguments: argparse.Namespace, virtual: bool = True, view: str | None
         virtual: it looks at a sequence; otherwise the points are of a real sensor.
 
     Raises:
-        InvalidArgument: a value out of its range.
+        InvalidArgument: a value out of its range, a view of a real sensor, or a share of no occlusion.
     """
     from ddakf.evaluation.sensors import Sensor
+
+    if not virtual and arguments.view is not None:
+        raise InvalidArgument("view", "none for a recording, whose sensor saw what it saw", arguments.view)
 
     for name in ("noise_mm", "depth_noise_mm", "depth_step_mm"):  # a message of Sensor's would be in metres
         if (given := getattr(arguments, name)) is not None and not 0 <= given < 1000:
             raise InvalidArgument(name, "millimetres in [0, 1000)", str(given))
+    if arguments.occluded is not None and arguments.occlude is None:
+        raise InvalidArgument("occluded", "to be used with --occlude", "none of it")
     noise_mm = arguments.noise_mm
     if noise_mm is None:
         noise_mm = VIRTUAL_NOISE_MM if virtual else 0.0
     return Sensor(
-        view=view or arguments.view,
+        view=view or arguments.view or Sensor().view,
         points=arguments.points,
         noise=noise_mm * MM,
         drop=arguments.drop,
@@ -92,7 +97,7 @@ def sensor(arguments: argparse.Namespace, virtual: bool = True, view: str | None
         depth_step=arguments.depth_step_mm * MM,
         fliers=arguments.fliers,
         occlude=None if arguments.occlude is None else window(arguments.occlude),
-        occluded=arguments.occluded,
+        occluded=Sensor().occluded if arguments.occluded is None else arguments.occluded,
         every=arguments.every,
     )
 

@@ -49,6 +49,7 @@ def register(commands: argparse._SubParsersAction) -> None:
     )
 
     sensor.add_argument("--unit", choices=UNITS, help="unit of a folder of clouds and of its template (default m)")
+    sensor.add_argument("--template-unit", choices=UNITS, help="unit of the file of --template (default that of --unit)")
 
     tracker = parser.add_argument_group("tracker")
     tracker.add_argument(
@@ -57,7 +58,6 @@ def register(commands: argparse._SubParsersAction) -> None:
     tracker.add_argument(
         "--start",
         choices=("truth", "rest", "search"),
-        default="truth",
         help="the template of a sequence lies at the true first frame (default), as it is in the "
         "file, or turned and moved away at random, so that the tracker has to search",
     )
@@ -107,6 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
             _report(arguments, source, scores, album)
         raise
     _report(arguments, source, scores, album)
+    _doubt_axes(arguments, source, config, scores.summary(), console)
     if scores.summary()["empty_frames"] == len(source):
         got = f"{arguments.path}, all of whose {len(source)} have none"
         raise InvalidArgument("path", "frames with points of the garment", got)
@@ -131,6 +132,21 @@ def _report(arguments: argparse.Namespace, source, scores, album: _Album | None)
     print(json.dumps(summary)) if arguments.json else Console().print(table(source.title, summary))
     if failures:
         raise failures[0]
+
+
+def _doubt_axes(arguments: argparse.Namespace, source, config, summary: dict, console: Console) -> None:
+    """Says after a search in vain how the template has to be turned, if that helps."""
+    import ddakf
+    from ddakf.evaluation.tracking import axes
+
+    searched = source.start is None and summary["rmse_mm"] is None  # in a recording, whose axes nobody knows
+    if arguments.server or arguments.paper or not searched or summary["empty_frames"] == len(source):
+        return
+    if summary["reliability"] >= axes.DOUBTED:
+        return
+    console.print("The template was hardly found: turns of it are tried", soft_wrap=True)
+    if said := axes.fitting_turn(source, config or ddakf.Config()):
+        console.print(said, markup=False, soft_wrap=True)
 
 
 def _save_meshes(folder: str, scores) -> None:
@@ -254,24 +270,32 @@ def _source(arguments: argparse.Namespace):
         raise InvalidArgument("fps", "none for a sequence, which has its own", f"{arguments.fps:g}")
     if arguments.fps is not None and (recording.times is not None or recording.fps != arguments.fps):
         raise InvalidArgument("fps", "none for a recording that states its own", f"{arguments.fps:g}")
+    if arguments.start is not None and not isinstance(recording, Sequence):
+        expected = "none for a recording, whose template is searched in the first frame if it does not lie there"
+        raise InvalidArgument("start", expected, arguments.start)
     if arguments.sensor_origin is not None:
         recording = _placed(recording, arguments.sensor_origin)
+    if arguments.template_unit and not arguments.template:
+        raise InvalidArgument("template_unit", "to be used with --template", "none of it")
     unit = UNITS[arguments.unit or "m"]
+    template_unit = UNITS[arguments.template_unit] if arguments.template_unit else unit
     if arguments.unit:
         recording = replace(_folder_of_clouds(recording, "unit"), unit=unit)
     source = source_of(
         recording,
         sensor_options.sensor(arguments, virtual=isinstance(recording, Sequence)),
         frames=arguments.frames,
-        start=arguments.start,
+        start=arguments.start or "truth",
         give_body=arguments.body,
         template=arguments.template,
-        unit=unit,
+        unit=template_unit,
         seed=arguments.seed,
     )
-    if unit == UNITS["m"] and isinstance(recording, FolderRecording) and (size := source.garment.size) > LARGEST:
+    if template_unit == UNITS["m"] and isinstance(recording, FolderRecording) and (size := source.garment.size) > LARGEST:
         known, got = ", ".join(UNITS), f"metres, in which the garment is {size:.3g} in size"
-        raise InvalidArgument("unit", f"that of the files, one of {known}", got)
+        if arguments.template and not arguments.template_unit:
+            got += " (--template-unit is that of the template alone)"
+        raise InvalidArgument("template_unit" if arguments.template_unit else "unit", f"that of the files, one of {known}", got)
     if not len(source):
         raise InvalidArgument("every", "frames to track after the first one", f"--every {arguments.every}, which leaves none")
     return source

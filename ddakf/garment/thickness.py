@@ -11,7 +11,7 @@ from ddakf.body import proximity
 from ddakf.garment import geodesic, remeshing
 from ddakf.mesh import Mesh
 
-THICKEST = 0.01  # m between the layers
+THICKEST = 0.01  # m, half of the largest distance between the layers
 AGAINST = -0.8  # cosine between the normals of faces of both layers, at most
 PAIRED = 0.7  # least share of the surface that has another layer beneath
 SAMPLE = 1000  # faces that are looked at first

@@ -23,6 +23,7 @@ SHORTEST = 1e-6  # m: the square of less may be 0
 SLIVER = 0.01  # mean edges; a template with a shorter edge is not even: its forces would be too stiff
 LONGEST = 2.4  # longest edges over heights; a template whose median triangle is longer is not even
 SMALL = 0.05  # share of the surface below which a piece is carried along
+COARSER = 1.2  # edges over those that the configuration asks for, from which on it is not as fine as asked
 ALL_SMALL = 0.25  # share of all small pieces from which on they are the garment
 
 
@@ -39,6 +40,7 @@ class WorkingMesh(NamedTuple):
     template: Mesh
     mesh: Mesh
     places: Places | None  # None: the template is its own working mesh
+    doubt: str = ""  # a sentence where this is no good mesh to track, or not the one that the configuration asks for
 
     def sampled(self, values: np.ndarray) -> np.ndarray:
         """(W, 3) values at the working vertices, of (V, 3) values of the template."""
@@ -95,18 +97,21 @@ def build(template: Mesh, config: Discretisation) -> WorkingMesh:
         return WorkingMesh(template, template, None)
     kept = _of_cloth(template)
     cloth = template if kept.all() else _part(template, kept)
-    edge, even = working_edge(cloth, config), None
+    edge, even, doubt = working_edge(cloth, config), None, ""
     if not (cloth.edge_length > config.working_finest * edge and unevenness(cloth) < config.working_unevenness):
         even = remeshing.remesh(cloth, edge)
+        doubt = "" if even is not None else _kept_as_it_is(cloth, edge)
+    doubt = doubt or _not_as_fine_as_asked(cloth, even, config)
     if even is None:
         if cloth is template:
-            return WorkingMesh(template, template, None)
+            return WorkingMesh(template, template, None, doubt)
         even = _itself(cloth)
     owner = np.empty(template.n_vertices, even.owner.dtype)
     owner[kept] = even.owner
     owner[~kept] = geodesic.nearest_points(even.mesh.vertices, template.vertices[~kept])
     on_mesh = _on_mesh(template, even._replace(owner=owner))
-    return WorkingMesh(template, even.mesh, Places((np.flatnonzero(kept)[even.corner].astype(np.int32), even.share), on_mesh))
+    places = Places((np.flatnonzero(kept)[even.corner].astype(np.int32), even.share), on_mesh)
+    return WorkingMesh(template, even.mesh, places, doubt)
 
 
 def working_edge(template: Mesh, config: Discretisation) -> float:
@@ -144,6 +149,29 @@ def interpolated(values: np.ndarray, corner: np.ndarray, share: np.ndarray) -> n
     rows = np.ascontiguousarray(values, np.float64).reshape(len(values), -1)
     kernels.spread(rows, corner, share, result.reshape(len(corner), -1))
     return result
+
+
+def _kept_as_it_is(mesh: Mesh, edge: float) -> str:
+    """The sentence about a mesh that an even one of these edges, metres, should replace, and none keeps its surface."""
+    tracked = f"tracked as it is, with its {mesh.n_vertices} vertices"
+    if (long := elongation(mesh)) > LONGEST:
+        triangles = f"triangles at most {LONGEST:g} times as long as high, got {long:.3g} times in the median"
+        return f"template: expected {triangles}: it is {tracked}, and cloth slides along their short edges; split the long ones"
+    holes, parts = len(remeshing.boundary_loops(mesh)), int(geodesic.pieces(mesh.edges, mesh.n_vertices).max()) + 1
+    handles = parts - (mesh.n_vertices - len(mesh.edges) + mesh.n_faces + holes) // 2  # Euler's formula
+    shape = f"no even mesh of {1e3 * edge:.0f} mm edges keeps its {holes} openings and {handles} handles"
+    return f"template: {shape}: it is {tracked}, more slowly and less well; close small holes, and remove loops"
+
+
+def _not_as_fine_as_asked(cloth: Mesh, even: remeshing.Remeshed | None, config: Discretisation) -> str:
+    """The sentence about edges that are longer than a configuration asks for which is finer than the default."""
+    asked, got = config.working_edge, (cloth if even is None else even.mesh).edge_length
+    if asked >= Discretisation().working_edge or got <= COARSER * asked:
+        return ""
+    why = "those of the template, as an even template is not refined"
+    if even is not None:
+        why = f"of {even.mesh.n_vertices} vertices; working_vertices_most is {config.working_vertices_most}"
+    return f"discretisation.working_edge: expected edges of {1e3 * asked:.3g} mm, got {1e3 * got:.3g} mm: {why}"
 
 
 def _of_cloth(template: Mesh) -> np.ndarray:

@@ -28,12 +28,23 @@ def test_a_virtual_sensor_has_noise_unless_told_otherwise_and_a_real_one_its_own
         ("--view ring4", "view", "ring4"), ("--points 500", "points", 500), ("--noise-mm 5", "noise", 0.005),
         ("--drop 0.2", "drop", 0.2), ("--outliers 0.1", "outliers", 0.1), ("--depth-noise-mm 1.4", "depth_noise", 0.0014),
         ("--depth-step-mm 2.9", "depth_step", 0.0029), ("--fliers 0.5", "fliers", 0.5), ("--occlude 38:68", "occlude", (38, 68)),
-        ("--occluded 0.25", "occluded", 0.25), ("--every 3", "every", 3),
+        ("--every 3", "every", 3),
     ],
 )  # fmt: skip
 def test_every_option_reaches_its_field_alone(words, field, value):
     expected = vars(sensor()) | {field: pytest.approx(value) if isinstance(value, float) else value}
     assert vars(sensor(*words.split())) == expected
+
+
+def test_a_hidden_share_belongs_to_frames_in_which_it_is_hidden():
+    assert sensor("--occlude", "38:68", "--occluded", "0.25").occluded == 0.25
+    with pytest.raises(InvalidArgument, match="occluded: expected to be used with --occlude"):
+        sensor("--occluded", "0.25")
+
+
+def test_a_real_sensor_has_its_own_view():
+    with pytest.raises(InvalidArgument, match="view: expected none for a recording"):
+        sensor("--view", "full", virtual=False)
 
 
 @pytest.mark.parametrize("window", ["38", "38:", ":68", "a:b", "68:38", "5:5", "-1:5", "1:2:3", "1:9999999999"])

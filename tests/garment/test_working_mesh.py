@@ -7,8 +7,9 @@ import pytest
 
 from ddakf import Config, Mesh, Tracker
 from ddakf.evaluation.sensors import Sensor
+from ddakf.first_frame import tube
 from ddakf.garment import remeshing, working_mesh
-from tests.garment.shapes import centre_split
+from tests.garment.shapes import centre_split, sieve
 from tests.stages.scenes import FPS, about, rms
 from tests.tracker_runs import ARRAYS, SAMPLE, SHIRT, TUBE, WEARER, assert_same, cloud
 
@@ -209,3 +210,33 @@ def test_an_edge_of_next_to_nothing_is_not_tracked():
 def test_edges_of_next_to_nothing_give_as_many_vertices_as_there_may_be():
     shortest = replace(NUMBERS, working_edge=1e-300, working_vertices_most=3000)
     assert 2000 < working_mesh.build(FINE_TUBE, shortest).mesh.n_vertices < 4500
+
+
+def test_a_good_template_is_beyond_doubt(fine):
+    assert not any(mesh.doubt for mesh in (fine, *(working_mesh.build(other, NUMBERS) for other in (SHIRT, UNEVEN))))
+
+
+def test_needles_that_are_tracked_as_they_are_are_told(caplog):
+    """A tube of one ring of long triangles was lost at a reliability of nearly 0, without a word of the cause."""
+    ring = tube(0.2, 1000, 2)
+    Tracker(Mesh(ring.vertices * [1.0, 12.0, 1.0], ring.faces))
+    told = "template: expected triangles at most 2.4 times as long as high, got 477 times in the median: it is tracked as it is"
+    assert told in caplog.text
+    caplog.clear()
+    Tracker(SHIRT)
+    assert not caplog.text
+
+
+def test_a_sieve_that_is_tracked_as_it_is_is_told():
+    doubt = working_mesh.build(sieve(100, 0.005, 3), NUMBERS).doubt
+    assert "edges keeps its 0 openings and 1089 handles: it is tracked as it is, with its 20000 vertices" in doubt
+
+
+def test_edges_that_are_longer_than_asked_for_are_told():
+    finer = replace(NUMBERS, working_edge=0.008)
+    asked = "discretisation.working_edge: expected edges of 8 mm, got"
+    assert working_mesh.build(SHIRT, finer).doubt == f"{asked} 16.7 mm: those of the template, as an even template is not refined"
+    assert working_mesh.build(FINE[0], finer).doubt.startswith(asked)
+    assert working_mesh.build(FINE[0], finer).doubt.endswith("; working_vertices_most is 4000")
+    assert not working_mesh.build(FINE[0], replace(finer, working_vertices_most=20_000)).doubt
+    assert not working_mesh.build(TUBE, Config.fast().discretisation).doubt  # it asks for coarser edges than the default

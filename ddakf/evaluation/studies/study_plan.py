@@ -11,6 +11,7 @@ from ddakf.evaluation.trials import methods
 from ddakf.evaluation.trials.recordings import find_recording, tracked_frames
 from ddakf.evaluation.trials.trial import Trial, sensor_of
 from ddakf.files.sequence import Sequence
+from ddakf.plausibility.units import require_size
 
 _OPTIONS = {"sequences": "SEQ", "systems": "methods", "views": "view"}  # of the command line, by field
 LEAST_FRAMES = 4  # of a recording: the start frame, and three tracked ones, which have a second difference
@@ -63,7 +64,7 @@ class StudyPlan:
         Raises:
             InvalidArgument: no such system or view; settings beyond their range; frames that a sequence does not have; an
                 occlusion in none of its frames; errors of a virtual camera for a real recording.
-            InvalidFile: a sequence that cannot be read.
+            InvalidFile: a sequence that cannot be read. InvalidMesh: a template that is not in metres.
         """
         for name in ("sequences", "systems", "views"):
             values = getattr(self, name)
@@ -129,7 +130,7 @@ def _require_effect(trial: Trial) -> None:
         return
     if not isinstance(known, Sequence):
         sensor.require_no_camera()
-        known.template(frames.start - frames.step)  # raises without a template
+        require_size(known.template(frames.start - frames.step), None)  # raises without a template
     if sensor.occlude and not any(map(sensor.occludes, frames)):
         window = "{}:{}".format(*sensor.occlude)
         raise InvalidArgument("occlude", f"some of the frames {frames.start} to {frames[-1]} of {trial.sequence}", window)

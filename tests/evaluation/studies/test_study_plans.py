@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from ddakf.commands import cli, evaluate
-from ddakf.errors import InvalidArgument
+from ddakf.data import sample
+from ddakf.errors import InvalidArgument, InvalidMesh
 from ddakf.evaluation.studies import paper_studies
 from ddakf.evaluation.studies.execution import run_study
 from ddakf.evaluation.trials import recordings
@@ -82,6 +83,27 @@ def test_what_a_real_camera_recorded_has_a_template_and_no_errors_of_a_virtual_o
     assert (of_a_folder.unheeded(), plan().unheeded()) == ({"noise": None}, {})
     with pytest.raises(InvalidArgument, match="depth_noise"):
         replace(of_a_folder, settings=replace(SMALL, depth_noise=0.001)).check()
+
+
+def _folder(path, unit):
+    for k in range(5):
+        io.write_points(path / f"{k}.xyz", unit * sample().garment_vertices[k])
+    io.write_mesh(path / "template.obj", unit * sample().garment_vertices[0], sample().garment_faces)
+    return str(path)
+
+
+def test_a_folder_in_millimetres_is_refused(tmp_path):
+    """Baselines took them for metres, and had errors of many metres."""
+    with pytest.raises(InvalidMesh, match=r"garment: expected metres, .* got 624, which looks like millimetres"):
+        replace(plan(), sequences=(_folder(tmp_path, 1000.0),)).check()
+
+
+@pytest.mark.parametrize("view", ["front", "full,front"])
+def test_views_of_what_a_real_sensor_saw_are_refused(capsys, tmp_path, view):
+    """Rows of the same run were told as seen by one camera and from all around."""
+    folder = _folder(tmp_path, 1.0)
+    assert cli.main(["evaluate", folder, "--methods", "icp", "--view", view, "--json", str(tmp_path / "out.json")]) == 2
+    assert f"view: expected none for recordings of real sensors, which saw what they saw, got {view}" in capsys.readouterr().err
 
 
 def test_no_run_is_refused_and_not_taken_for_the_default(tmp_path, capsys):
