@@ -1,5 +1,6 @@
 /** Server: its health and workers, and its metrics as charts, collected while this page is open. */
 import { CONDITIONS, type Fleet, type Health } from "../api/fleet.js";
+import { overloadOf } from "../api/overload.js";
 import { reasonOf } from "../api/connection.js";
 import { TimeChart, type ChartOptions } from "../charts/timechart.js";
 import { h, icon, text } from "../dom.js";
@@ -29,10 +30,11 @@ const CHARTS: (ChartOptions & { columns: Column[] })[] = [
     lines: [
       { label: "median", colour: "series-1", filled: true },
       { label: "99 %", colour: "series-2" },
+      { label: "mean wait for a worker", colour: "series-4" },
     ],
     show: milliseconds,
     least: 0.001,
-    columns: [(s) => s.median, (s) => s.slowest],
+    columns: [(s) => s.median, (s) => s.slowest, (s) => s.wait],
   },
   {
     title: "Mean reliability",
@@ -129,8 +131,10 @@ function explanation(): HTMLElement {
   return h("p.muted", {}, words, h("code", {}, "/metrics"), "; the REST interface is described in ", docs, ".");
 }
 
-function troubleOf({ condition, failure, readiness, noMetrics, problems }: Fleet): string {
+function troubleOf({ condition, failure, readiness, noMetrics, problems, health }: Fleet): string {
   if (failure) return reasonOf(failure);
   if (condition === "unready") return sentence(readiness);
-  return noMetrics ? `No metrics: ${reasonOf(noMetrics)}` : problems.join(" ");
+  if (noMetrics) return `No metrics: ${reasonOf(noMetrics)}`;
+  const last = health.at(-1);
+  return [...problems, last ? overloadOf(last) : ""].filter(Boolean).join(" ");
 }

@@ -14,6 +14,7 @@ import type { Row } from "../api/fleet.js";
 import { h } from "../dom.js";
 import { fixed, stateName } from "../format.js";
 import type { Cloud } from "../session/cloud.js";
+import { endOf } from "../session/diagnosis.js";
 import { Memory } from "../session/memory.js";
 import { Watching, isPassing } from "../session/watching.js";
 import { PlayerPanel } from "./player-panel.js";
@@ -96,6 +97,7 @@ class SessionView {
       const whole = await session.info({ full: true });
       if (this.closed) return;
       this.bench.showState(stateName(whole.state));
+      this.bench.showLabels(whole.labels);
       this.begin(whole);
     } catch (error) {
       if (this.closed) return;
@@ -109,6 +111,7 @@ class SessionView {
   }
 
   private sayLost(reason: string): void {
+    this.bench.showLost(true);
     this.bench.say(`Connection lost, trying again. ${reason}`, "poor", 0);
   }
 
@@ -131,6 +134,7 @@ class SessionView {
       onResult: this.onResult,
       onNotice: this.onNotice,
       onLost: (lost, reason) => {
+        this.bench.showLost(lost);
         if (lost) this.sayLost(reason);
         else this.bench.say("", "poor", 0);
       },
@@ -169,8 +173,9 @@ class SessionView {
   }
 
   private async sayEnded(): Promise<void> {
-    const isStored = await this.bench.charts.loadHistory();
-    const words = isStored ? "The session has ended; the charts have its history." : `There is no session ${this.id}.`;
+    const history = await this.bench.charts.loadHistory();
+    const isStored = history !== undefined;
+    const words = history ? endOf(history) : `There is no session ${this.id}.`;
     if (this.closed) return;
     if (!isStored && !this.bench.memory.newest) this.bench.showState((this.bench.ended = "unknown"));
     this.bench.say(words, "note", 0);
