@@ -42,6 +42,7 @@ class FleetView {
   private readonly chips = new Map<StateName, HTMLButtonElement>();
   private readonly body = h("tbody");
   private readonly heads = new Map<Key, HTMLTableCellElement>();
+  private readonly toolbar: HTMLElement;
   private readonly table: HTMLElement;
   private readonly trySample: HTMLElement;
   private readonly notice = h("div.notice-place");
@@ -63,7 +64,7 @@ class FleetView {
     );
     this.search.addEventListener("input", this.draw);
     const chips = FILTERS.map((state) => this.chip(state));
-    const toolbar = h(
+    this.toolbar = h(
       "div.toolbar",
       {},
       this.search,
@@ -73,7 +74,7 @@ class FleetView {
     );
     this.trySample = sampleButton(app);
     const title = h("div.title-row", {}, h("h1", {}, "Sessions"), h("span.space"), this.trySample);
-    this.element = h("div.page", {}, title, toolbar, this.notice, this.table, pastSessions(app));
+    this.element = h("div.page", {}, title, this.toolbar, this.notice, this.table, pastSessions(app));
     this.unlisten = app.fleet.onChange(this.draw);
     this.draw();
   }
@@ -127,7 +128,7 @@ class FleetView {
   private drawNotice(shown: number): void {
     const { fleet } = this.app;
     const total = fleet.rows.length;
-    set(this.table, { hidden: total === 0 });
+    for (const part of [this.toolbar, this.table]) set(part, { hidden: total === 0 });
     this.table.classList.toggle("stale", fleet.failure !== undefined);
     set(this.trySample, { hidden: total === 0 });
     text(this.count, total === 0 ? "" : shown === total ? `${total} live` : `${shown} of ${total} live`);

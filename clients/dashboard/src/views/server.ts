@@ -3,7 +3,7 @@ import { CONDITIONS, type Fleet, type Health } from "../api/fleet.js";
 import { overloadOf } from "../api/overload.js";
 import { reasonOf } from "../api/connection.js";
 import { TimeChart, type ChartOptions } from "../charts/timechart.js";
-import { h, icon, text } from "../dom.js";
+import { h, icon, set, text } from "../dom.js";
 import { bytes, fixed, milliseconds, percent, sentence } from "../format.js";
 import { onTheme } from "../theme.js";
 import type { App, View } from "./view.js";
@@ -93,6 +93,7 @@ export function serverView(app: App): View {
   const notice = h("div.notice-place", { role: "status" });
   const { serverVersion, apiVersion, build } = client.server;
   const version = h("p.muted", {}, `ddakf ${serverVersion}, API ${apiVersion}${build ? `, build ${build}` : ""}`);
+  const grid = h("div.chart-grid", {}, ...charts.map(({ chart }) => h("div.card", {}, chart.element)));
   const element = h(
     "div.page",
     {},
@@ -103,13 +104,14 @@ export function serverView(app: App): View {
       {},
       ...cards.map(({ name, hint, place }) => h("div.card.small", { title: hint }, h("span.card-label", {}, name), place)),
     ),
-    h("div.chart-grid", {}, ...charts.map(({ chart }) => h("div.card", {}, chart.element))),
+    grid,
     explanation(),
   );
   const draw = () => {
     for (const { place, value } of cards) text(place, value(fleet, fleet.health.at(-1)));
     const times = fleet.health.map(({ time }) => time);
     for (const { chart, columns } of charts) chart.set({ times, values: columns.map((column) => fleet.health.map(column)) });
+    set(grid, { hidden: fleet.noMetrics !== undefined && fleet.health.length === 0 });
     const words = troubleOf(fleet);
     if (notice.textContent !== words) notice.replaceChildren(...(words ? [h("p.banner.poor", {}, icon("warning"), words)] : []));
   };
@@ -134,7 +136,7 @@ function explanation(): HTMLElement {
 function troubleOf({ condition, failure, readiness, noMetrics, problems, health }: Fleet): string {
   if (failure) return reasonOf(failure);
   if (condition === "unready") return sentence(readiness);
-  if (noMetrics) return `No metrics: ${reasonOf(noMetrics)}`;
+  if (noMetrics) return `No charts. ${reasonOf(noMetrics)}.`;
   const last = health.at(-1);
   return [...problems, last ? overloadOf(last) : ""].filter(Boolean).join(" ");
 }

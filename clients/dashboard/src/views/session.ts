@@ -12,7 +12,7 @@ import {
 import { reasonOf } from "../api/connection.js";
 import type { Row } from "../api/fleet.js";
 import { h } from "../dom.js";
-import { fixed, stateName } from "../format.js";
+import { sentence, stateName } from "../format.js";
 import type { Cloud } from "../session/cloud.js";
 import { endOf } from "../session/diagnosis.js";
 import { Memory } from "../session/memory.js";
@@ -151,14 +151,14 @@ class SessionView {
     this.bench.follow();
   };
 
-  private readonly onNotice = ({ kind, message, value }: Notice) => {
+  private readonly onNotice = ({ kind, message }: Notice) => {
     const say = (words: string, severity: string, seconds = NOTICE_SECONDS) => {
       this.bench.say(words, severity, seconds);
     };
     if (kind === "waiting") say(`The server waits for a worker: ${message}`, "poor");
     else if (kind === "resumed") say(`The session goes on in another worker: ${message}`, "note");
     else if (kind === "draining") say(`The server stops: ${message}`, "poor", 0);
-    else if (kind === "slow_down") say(`The server can track ${fixed(value)} frames per second of this session now`, "note");
+    else if (kind === "slow_down") say(sentence(message), "note");
   };
 
   private end(error: unknown): void {
