@@ -45,7 +45,10 @@ def test_sessions_are_listed_shown_and_deleted(sessions, api, sheet):
     assert {name: shown[name] for name in ("applied", "labels", "config")} == {
         name: rows[0][name] for name in ("applied", "labels", "config")
     }
-    assert "n_vertices" in sessions("get", second)
+    shown = sessions("get", first)
+    assert {"labels", "take=one", "n_vertices", "max_points=500000"} <= set(shown.split())
+    assert "{" not in shown
+    assert sessions("list", "--label", "take=none") == "no session matches\n"
     assert sessions("delete", first, second) == ""
     for name in (first, second):
         with pytest.raises(SessionNotFound):

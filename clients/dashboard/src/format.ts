@@ -34,6 +34,14 @@ export function bytes(count: number): string {
   return `${(count / 1024 ** power).toFixed(power === 0 || count >= 100 * 1024 ** power || count % 1024 ** power === 0 ? 0 : 1)} ${units[power]!}`;
 }
 
+/** Labels of a session as one line, in the order of their keys: a message has them in any order. */
+export function labelled(labels: Readonly<Record<string, string>>): string {
+  return Object.entries(labels)
+    .sort(([a], [b]) => a.localeCompare(b))
+    .map(([key, value]) => `${key}=${value}`)
+    .join(" · ");
+}
+
 /** A duration in its largest two units. */
 export function duration(seconds: number): string {
   if (!Number.isFinite(seconds)) return "–";

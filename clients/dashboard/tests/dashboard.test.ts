@@ -264,6 +264,7 @@ describe("a server without keys", () => {
     await setting.service.stop();
     await page.locator(".stage-notice", { hasText: "Connection lost" }).waitFor();
     await expect.poll(() => page.locator(".server-status").innerText()).toBe("No answer");
+    expect(await page.locator(".session .pill").getAttribute("data-state")).toBe("unknown");
     await page.getByRole("link", { name: "Server" }).click();
     expect(await page.locator(".card", { hasText: "Readiness" }).locator("strong").innerText()).toBe("No answer");
     await page.goBack();
@@ -286,6 +287,27 @@ describe("a server without keys", () => {
     await row.waitFor();
     await page.getByRole("button", { name: /^Reliability/ }).click();
     expect(await page.locator("th[aria-sort=descending]").innerText()).toContain("Reliability");
+  });
+
+  test("long names and labels leave the columns of the list and the buttons of a session in place", async () => {
+    const client = await connect(setting.service.http, { worker: false });
+    const sheet = { vertices: Float32Array.of(0, 0, 0, 0.1, 0, 0, 0, 0.1, 0), faces: Uint32Array.of(0, 1, 2) };
+    const labels = { note: "somebody has put the whole description of the shooting here, ".repeat(4), floor: "3" };
+    const sessionId = `a${"-very-long-name-of-a-session".repeat(2)}`;
+    const session = await client.createSession(sheet, { sessionId, labels });
+    await page.getByRole("link", { name: "Sessions", exact: true }).click();
+    await page.getByRole("searchbox").fill(""); // of the test before
+    await page.getByRole("link", { name: sessionId }).waitFor();
+    const table = page.getByRole("region", { name: "Sessions", exact: true });
+    expect(await table.evaluate((element) => element.scrollWidth - element.clientWidth)).toBe(0);
+    await page.getByRole("link", { name: sessionId }).click();
+    await page.locator(".session .labels", { hasText: "floor=3 · note=somebody" }).waitFor();
+    const tops = await page.locator(".actions > *").evaluateAll((parts) => parts.map((part) => part.getBoundingClientRect().top));
+    expect(new Set(tops).size).toBe(1);
+    expect(await overflow(page)).toBe(0);
+    await session.delete();
+    await page.locator(".stage-notice", { hasText: "no frame was tracked" }).waitFor();
+    complaints(); // of the session that is no more
   });
 
   test("the server's page has its workers and charts", async () => {

@@ -265,7 +265,7 @@ test("two live sessions are compared, on a phone too", async () => {
     await expect.poll(() => other.page.locator(".compare-side .pill[data-state=tracking]").count()).toBe(2);
     await other.page.locator(".verdict", { hasText: /apart on average|different frames/ }).waitFor();
     expect(await other.page.locator("select[aria-label='Right session']").inputValue()).toBe(id);
-    expect(await other.page.locator(".legend").innerText()).toMatch(/Distance between the garments\s+0 mm\s+20 mm/);
+    expect(await other.page.locator(".legend").innerText()).toMatch(/Distance between the garments\s+0 mm\s+≥ 20 mm/);
     await other.page.locator("select[aria-label='Left session']").selectOption(id);
     await other.page.locator(".verdict", { hasText: "bit for bit" }).waitFor(); // of a session and itself
     expect(await seriousProblems(other.page)).toEqual([]);

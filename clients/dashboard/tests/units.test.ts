@@ -3,17 +3,18 @@ import { execFileSync } from "node:child_process";
 import { readFileSync } from "node:fs";
 import { describe, expect, test, vi } from "vitest";
 import { PYTHON } from "../../typescript/tests/server.js";
-import { lastSeconds, recency } from "../src/api/fleet.js";
+import { droppedShare, lastSeconds, recency } from "../src/api/fleet.js";
+import { overloadOf } from "../src/api/overload.js";
 import { Exposition, quantile } from "../src/api/prometheus.js";
 import { bandsOf } from "../src/charts/bands.js";
-import { sentence } from "../src/format.js";
+import { labelled, sentence } from "../src/format.js";
 import { Pace } from "../src/pace.js";
 import { Camera } from "../src/play/camera.js";
 import { messages } from "ddakf-client";
 import { readMotion } from "../src/play/motion.js";
 import { RADIUS_90, ellipsoid90 } from "../src/scene/ellipsoid.js";
 import { cloudOf } from "../src/session/cloud.js";
-import { diagnose } from "../src/session/diagnosis.js";
+import { diagnose, endOf } from "../src/session/diagnosis.js";
 import type { Moment } from "../src/session/memory.js";
 import { distancesTo, vertexNormals } from "../src/session/surface.js";
 
@@ -199,6 +200,31 @@ test("a history of two seconds per sample fills every second of a course", () =>
   expect(lastSeconds(history as never, 107.5, 9)).toEqual([NaN, 0.2, 0.2, 0.4, 0.4, NaN, NaN, 0.8, 0.8]);
 });
 
+test("a share of dropped frames is of the last seconds, at first of all", () => {
+  const counts = (applied: number, dropped: number) => ({ applied, dropped });
+  expect(droppedShare([counts(75, 25)])).toBe(0.25);
+  expect(droppedShare([counts(75, 25), counts(75, 25)])).toBe(0);
+  expect(droppedShare([counts(75, 25), counts(80, 27), counts(85, 40)])).toBe(0.6);
+});
+
+test("an overloaded server says what it drops or leaves out, and why", () => {
+  expect(overloadOf({ applied: 95, dropped: 5, short: 0 })).toBe("");
+  expect(overloadOf({ applied: NaN, dropped: NaN, short: NaN })).toBe("");
+  expect(overloadOf({ applied: 0, dropped: 0, short: NaN })).toBe("");
+  expect(overloadOf({ applied: 40, dropped: 60, short: 0 })).toMatch(/^60 % of the frames are dropped or late: clients send/);
+  const both = overloadOf({ applied: 40, dropped: 60, short: 0.5 });
+  expect(both).toMatch(/^60 % .*, and 50 % of the others are tracked with less work: the workers have too little time/);
+  expect(overloadOf({ applied: 40, dropped: 0, short: 0.5 })).toMatch(/^50 % of the frames are tracked with less work/);
+});
+
+test("the end of a session tells whether frames were tracked or refused", () => {
+  const end = (framesApplied: bigint, framesRejected: bigint) =>
+    endOf({ samples: [{ framesApplied, framesRejected }] as messages.HistorySample[] });
+  expect(end(3n, 2n)).toContain("the charts have its history");
+  expect(end(0n, 1n)).toContain("1 frame was refused, none was tracked");
+  expect(end(0n, 0n)).toBe("The session has ended; no frame was tracked.");
+});
+
 describe("signs of trouble", () => {
   const moment = (state: string, captureTime: number, x: number, message?: string): Moment => {
     const shape = { vertices: Float32Array.of(x, 0, 0), observed: Uint8Array.of(1) };
@@ -213,10 +239,26 @@ describe("signs of trouble", () => {
     expect(titles(moment("lost", 0, 0), moment("tracking", 0.1, 0.9))).toEqual([]);
   });
 
+  test("late answers say where their time went, and a server short of time is named", () => {
+    const late = (server: number, queue: number, isShort = false) =>
+      diagnose([{ ...moment("tracking", 0, 0), timings: { server, queue }, isShort }], new Uint32Array());
+    expect(late(0.05, 0.01)).toEqual([]);
+    expect(late(0.2, 0.15)[0]).toMatchObject({
+      severity: "note",
+      text: expect.stringContaining("150 ms of it before") as string,
+    });
+    expect(late(0.8, 0.1)[0]).toMatchObject({ severity: "poor", text: expect.stringContaining("tracking") as string });
+    expect(late(0.02, 0, true).map(({ title }) => title)).toEqual(["Server short of time"]);
+  });
+
   test("reliability has the scale of the charts, and warnings are sentences", () => {
     const signs = diagnose([moment("recovering", 0, 0, "the cloud shows one side")], new Uint32Array());
     expect(signs.map(({ text }) => text)).toEqual(["The cloud shows one side", expect.stringContaining("Reliability is 0.40")]);
   });
+});
+
+test("labels are shown in the order of their keys", () => {
+  expect(labelled({ floor: "3", building: "hall" })).toBe("building=hall · floor=3");
 });
 
 test("an address keeps its small letters at the beginning of a sentence", () => {

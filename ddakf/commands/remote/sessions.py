@@ -59,6 +59,9 @@ def _list(client, arguments: argparse.Namespace) -> None:
     if arguments.json:
         print_json([_values(session) for session in sessions])
         return
+    if not sessions:
+        print("no session matches" if arguments.state or labels else "no live session that the key may read")
+        return
     columns = ("id", "state", "frames", "per second", "reliability", "coverage", "latency ms", "dropped", "labels")
     print_table(columns, (_row(session) for session in sessions))
 
@@ -73,7 +76,7 @@ def _row(session) -> tuple[str, ...]:
         f"{session.coverage:.2f}",
         f"{1e3 * session.last_latency:.0f}",
         str(session.dropped),
-        " ".join(f"{key}={value}" for key, value in session.labels.items()),
+        _text(session.labels),
     )
 
 
@@ -83,7 +86,16 @@ def _get(client, arguments: argparse.Namespace) -> None:
         print_json(values)
         return
     values["config"] = f"{len(values['config'])} stages; --json shows them"
-    print_table(("field", "value"), ((name, "" if value is None else str(value)) for name, value in values.items()))
+    print_table(("field", "value"), ((name, _text(value)) for name, value in values.items()))
+
+
+def _text(value) -> str:
+    """A field's value for people: pairs as KEY=VALUE in the order of their keys, numbers of six digits."""
+    if isinstance(value, dict):
+        return " ".join(f"{key}={_text(each)}" for key, each in sorted(value.items()))
+    if isinstance(value, (list, tuple)):
+        return "; ".join(_text(each) for each in value)
+    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _watch(client, arguments: argparse.Namespace) -> None:

@@ -23,7 +23,7 @@ class RateLimit:
     """
 
     def __init__(self, of_key: TokenBucket, key_rate: float):
-        self._of_session, self._of_key, self._key_rate = frame_bucket(), of_key, key_rate
+        self._of_session, self._of_key, self.key_rate = frame_bucket(), of_key, key_rate
 
     def wait(self, rate: float, now: float) -> tuple[float, float]:
         """Seconds until the next frame is allowed, and the rate that it exceeds. Without a wait it takes a token of each.
@@ -32,8 +32,8 @@ class RateLimit:
             rate: of the session, frames per second; 0: not limited.
             now: monotonic clock, seconds.
         """
-        if (pause := self._of_key.wait(self._key_rate, now)) > 0:
-            return pause, self._key_rate
+        if (pause := self._of_key.wait(self.key_rate, now)) > 0:
+            return pause, self.key_rate
         if (pause := self._of_session.wait(rate, now)) > 0:
             self._of_key.give_back()
         return pause, rate

@@ -32,6 +32,7 @@ log = logging.getLogger(__name__)
 _SEQUENCE_NUMBERS = 1 << 63
 _WAITING_NOTICE_INTERVAL = 2.0  # seconds between two waiting notices: less than any client's timeout
 _LOOK_INTERVAL = 0.5  # seconds between looks at the frame rate, which may change while a frame waits for it
+_TOO_FAST = "frames arrive faster than they can be tracked: {rate:.3g} per second"
 
 
 class Stream:
@@ -161,9 +162,15 @@ class Stream:
             self._recorder.dropped(self.session, 1)
             self._displaced += 1
         if rate and self._displaced and self._overload.may_notify(monotonic()):
-            self._notify_slow_down(rate, f"the session or its key may have {rate:.3g} frames per second")
+            self._notify_slow_down(rate, self._why_slower(rate))
         self._displaced = 0
         return queued
+
+    def _why_slower(self, rate: float) -> str:
+        """The reason of a rate: a limit that somebody has set, or what the worker has time for."""
+        if rate in (self._penalties.frame_rate(self.session), self._rate_limit.key_rate):
+            return f"the session or its key may have {rate:.3g} frames per second"
+        return _TOO_FAST.format(rate=rate)
 
     @property
     def _frame_rate(self) -> float:
@@ -189,7 +196,7 @@ class Stream:
 
     def _record_missed(self, count: int) -> None:
         if rate := self._overload.missed(count, monotonic()):
-            self._notify_slow_down(rate, f"frames arrive faster than they can be tracked: {rate:.3g} per second")
+            self._notify_slow_down(rate, _TOO_FAST.format(rate=rate))
 
     def _notify_slow_down(self, rate: float, message: str) -> None:
         self.notify(pb.Notice(kind=pb.NOTICE_KIND_SLOW_DOWN, message=message, value=rate))

@@ -58,15 +58,15 @@ class Serving:
     """A server with the session "some" and its lossless stream, in which one frame may wait."""
 
     @classmethod
-    async def begin(cls) -> Serving:
-        self, settings = cls(), Settings(data_dir="none", lossless_queue=1)
+    async def begin(cls, start: pb.Start = START, max_frame_rate: float = 0.0) -> Serving:
+        self, settings = cls(), Settings(data_dir="none", lossless_queue=1, max_frame_rate=max_frame_rate)
         self.pool, self.metrics = Pool(), Metrics()
         self.store = Store(settings, self.metrics)
         self.server = service.Sessions(self.pool, settings, self.metrics, self.store)
         await self.server.load()
         await self.server.create(pb.CreateSessionRequest(api_version=API_VERSION, session_id="some"))
         self.streams = Streams(self.server.components, FrameRecorder(self.metrics, self.store.history, NoTracer()))
-        self.stream = await self.streams.open(START)
+        self.stream = await self.streams.open(start)
         return self
 
     async def deliver(self) -> None:

@@ -51,7 +51,7 @@ def test_nothing_is_loaded_from_elsewhere_and_nothing_runs(answer):
     assert answer.headers["content-type"].startswith("text/html")
     assert page.open == []
     assert page.tags & {"script", "iframe", "img", "link", "object", "form"} == set()
-    assert [target for target in page.targets if not target.startswith(("#", "/openapi.json"))] == []
+    assert [target for target in page.targets if not target.startswith(("#", "openapi.json"))] == []  # relative
     assert "http://" not in answer.text
     assert "https://" not in answer.text
     policy = answer.headers["content-security-policy"]
@@ -65,6 +65,14 @@ def test_every_link_has_its_target_once(answer):
     page = Page(answer.text)
     assert len(set(page.ids)) == len(page.ids)
     assert {target[1:] for target in page.targets if target.startswith("#")} <= set(page.ids)
+
+
+def test_the_list_tells_what_each_operation_is_for(http, answer):
+    document = http.get("/openapi.json").json()
+    purposes = re.findall('<span class="purpose">(.*?)</span>', answer.text)
+    assert len(purposes) == sum(len(methods) for methods in document["paths"].values())
+    assert [purpose for purpose in purposes if not 10 < len(purpose) < 120] == []
+    assert "Ends a session and its stream" in purposes
 
 
 def test_every_operation_parameter_field_and_status_is_on_the_page(http, answer):

@@ -6,6 +6,7 @@ import { Exposition, quantile } from "./prometheus.js";
 const SESSIONS_INTERVAL = 1; // seconds
 const HEALTH_EVERY = 3; // of these, for metrics and readiness
 const SPARK_SAMPLES = 60;
+const DROP_SAMPLES = 10; // over which a share of dropped frames is taken
 const MAX_HEALTH = 600; // samples of the server, half an hour
 const MAX_HISTORIES = 40; // sessions whose past is asked for
 
@@ -23,7 +24,10 @@ export interface Row {
   reliability: number;
   latency: number;
   applied: number;
+  /** Since the session began. */
   dropped: number;
+  /** Share of the frames of the last seconds that were dropped; at first of all. */
+  droppedShare: number;
   rejected: number;
   recoveries: number;
   vertices: number;
@@ -43,8 +47,12 @@ export interface Health {
   applied: number;
   dropped: number;
   failed: number;
+  /** Share of the applied frames for which the server had too little time. */
+  short: number;
   median: number;
   slowest: number;
+  /** Mean seconds before a worker took a frame. */
+  wait: number;
   reliability: number;
   processor: number;
   memory: number;
@@ -70,6 +78,7 @@ export class Fleet {
   loaded = false;
 
   private readonly sparks = new Map<string, number[]>();
+  private readonly counts = new Map<string, Counts[]>();
   private before: { exposition: Exposition; time: number } | undefined;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private turn = 0;
@@ -117,6 +126,7 @@ export class Fleet {
       this.loaded = true;
     } catch (error) {
       this.failure = error;
+      if (withHealth) this.remember(nothingAt(Date.now() / 1000));
       if (error instanceof ResourceExhausted) pause = Math.max(pause, error.retryAfter || 5);
     }
     this.asking = false;
@@ -130,7 +140,7 @@ export class Fleet {
     for await (const session of this.client.sessions()) sessions.push(session);
     this.rows = sessions.map((session) => this.row(session));
     const ids = new Set(this.rows.map(({ id }) => id));
-    for (const id of this.sparks.keys()) if (!ids.has(id)) this.sparks.delete(id);
+    for (const map of [this.sparks, this.counts]) for (const id of map.keys()) if (!ids.has(id)) map.delete(id);
   }
 
   private row(session: messages.Session): Row {
@@ -141,11 +151,23 @@ export class Fleet {
     const applied = Number(statistics?.framesApplied ?? 0);
     const reliability = applied > 0 ? statistics!.reliability : NaN;
     const live = state !== "idle" && applied > 0;
+    const dropped = Number(statistics?.framesDropped ?? 0) + Number(statistics?.framesLate ?? 0);
+    const counts = [...(this.counts.get(id) ?? []), { applied, dropped }].slice(-DROP_SAMPLES);
+    this.counts.set(id, counts);
     return {
-      ...{ id, state, applied, lastFrame, reliability, labels: session.labels, created: seconds(session.createTime) },
+      ...{
+        id,
+        state,
+        applied,
+        dropped,
+        droppedShare: droppedShare(counts),
+        lastFrame,
+        reliability,
+        labels: session.labels,
+        created: seconds(session.createTime),
+      },
       frameRate: live ? statistics!.frameRate : 0,
       latency: applied > 0 ? statistics!.lastLatency : NaN,
-      dropped: Number(statistics?.framesDropped ?? 0) + Number(statistics?.framesLate ?? 0),
       rejected: Number(statistics?.framesRejected ?? 0),
       recoveries: Number(statistics?.recoveries ?? 0),
       vertices: session.garmentVertexCount,
@@ -188,14 +210,32 @@ export class Fleet {
     try {
       const text = await (await this.client.rest.call("GET", "/metrics")).text();
       const now = { exposition: new Exposition(text), time: Date.now() / 1000 };
-      this.health.push(healthOf(now, this.before));
-      if (this.health.length > MAX_HEALTH) this.health.shift();
+      this.remember(healthOf(now, this.before));
       this.before = now;
       this.noMetrics = undefined;
     } catch (error) {
       this.noMetrics = error;
     }
   }
+
+  private remember(sample: Health): void {
+    this.health.push(sample);
+    if (this.health.length > MAX_HEALTH) this.health.shift();
+  }
+}
+
+/** Frames of a session since it began. */
+export interface Counts {
+  applied: number;
+  dropped: number;
+}
+
+/** Share of the frames between the first and the last of some counts that were dropped; of one count, of all frames. */
+export function droppedShare(counts: readonly Counts[]): number {
+  const [now, first] = [counts.at(-1)!, counts[0]!];
+  const before = counts.length > 1 ? first : { applied: 0, dropped: 0 };
+  const [applied, dropped] = [now.applied - before.applied, now.dropped - before.dropped];
+  return dropped / Math.max(1, applied + dropped);
 }
 
 /** Reliability in each of the last seconds, newest last, as a history has it; NaN: no frame. */
@@ -214,11 +254,17 @@ interface Scrape {
   time: number;
 }
 
+/** A gap: no answer at this time. */
+function nothingAt(time: number): Health {
+  return healthOf({ exposition: new Exposition(""), time }, undefined);
+}
+
 function healthOf({ exposition: now, time }: Scrape, before: Scrape | undefined): Health {
   const elapsed = before ? time - before.time : NaN;
   const rate = (name: string, labels: Record<string, string> = {}) =>
     before ? Math.max(0, (now.sum(name, labels) - before.exposition.sum(name, labels)) / elapsed) : NaN;
   const outcome = (name: string) => rate("ddakf_frames_total", { outcome: name });
+  const ofApplied = (value: number) => (applied > 0 ? value / applied : NaN);
   const [latencies, earlier] = [now.buckets("ddakf_frame_seconds"), before?.exposition.buckets("ddakf_frame_seconds") ?? []];
   const applied = outcome("applied");
   return {
@@ -226,7 +272,9 @@ function healthOf({ exposition: now, time }: Scrape, before: Scrape | undefined)
     failed: outcome("rejected") + outcome("costly") + outcome("failed"),
     median: before ? quantile(0.5, latencies, earlier) : NaN,
     slowest: before ? quantile(0.99, latencies, earlier) : NaN,
-    reliability: applied > 0 ? rate("ddakf_frame_reliability_sum") / applied : NaN,
+    wait: ofApplied(rate("ddakf_frame_stage_seconds_sum", { stage: "queue" })),
+    short: ofApplied(Math.max(rate("ddakf_frames_curtailed_total"), rate("ddakf_frames_lighter_total"))),
+    reliability: ofApplied(rate("ddakf_frame_reliability_sum")),
     processor: rate("process_cpu_seconds_total"),
     memory: now.sum("process_resident_memory_bytes"),
     sessions: now.sum("ddakf_sessions"),

@@ -17,9 +17,9 @@ export interface Scale {
 
 export const SCALES: Record<Mode, Scale | undefined> = {
   reliability: { label: "Reliability", low: "0", high: "1", from: 0, to: 1 },
-  sigma: { label: "Uncertainty σ", low: "0 mm", high: "30 mm", from: 0.03, to: 0 },
-  residual: { label: "Distance to the points", low: "0 mm", high: "20 mm", from: 0.02, to: 0 },
-  difference: { label: "Distance between the garments", low: "0 mm", high: "20 mm", from: 0.02, to: 0 },
+  sigma: { label: "Uncertainty σ", low: "0 mm", high: "≥ 30 mm", from: 0.03, to: 0 },
+  residual: { label: "Distance to the points", low: "0 mm", high: "≥ 20 mm", from: 0.02, to: 0 },
+  difference: { label: "Distance between the garments", low: "0 mm", high: "≥ 20 mm", from: 0.02, to: 0 },
   normals: undefined,
   plain: undefined,
 };

@@ -1,4 +1,5 @@
 /** Diagnosis: what degrades the fit at a moment, in words with the numbers that say so. */
+import type { messages } from "ddakf-client";
 import { fixed, millimetres, percent, sentence } from "../format.js";
 import type { Moment } from "./memory.js";
 import { distancesTo, vertexNormals } from "./surface.js";
@@ -16,7 +17,7 @@ const HIDDEN = { note: 0.45, poor: 0.65 }; // share of vertices without a measur
 const RESIDUAL = 0.008; // metres, median distance of measured vertices to the cloud
 const DROPPED = { note: 0.05, poor: 0.25 }; // share of the frames
 const SPEED = { note: 1.2, poor: 2.5 }; // metres per second, of the fastest twentieth
-const SLOW = 0.1; // seconds from arrival to answer
+const LATE = { note: 0.1, poor: 0.5 }; // seconds from arrival to answer
 const SPARSE = 0.5; // points per vertex
 const SLIDING = { ratio: 2.5, sigma: 0.012, share: 0.25 }; // standard deviation along the cloth over that across it
 const WINDOW = 2; // seconds over which drops are counted
@@ -34,13 +35,7 @@ export function diagnose(moments: readonly Moment[], faces: Uint32Array): Sign[]
     ...motionSigns(moments),
   ];
   if (now.shape?.covariance) signs.push(...slidingSigns(now.shape.vertices, now.shape.covariance, faces));
-  const server = now.timings["server"] ?? 0;
-  if (server > SLOW)
-    signs.push({
-      severity: "note",
-      title: "Late answers",
-      text: `The last answer took ${Math.round(1000 * server)} ms at the server.`,
-    });
+  signs.push(...timeSigns(now));
   const order: Severity[] = ["bad", "poor", "note"];
   return signs.sort((a, b) => order.indexOf(a.severity) - order.indexOf(b.severity));
 }
@@ -113,6 +108,23 @@ function dropSigns(moments: readonly Moment[]): Sign[] {
   return [{ severity: share > DROPPED.poor ? "poor" : "note", title: "Dropped frames", text }];
 }
 
+function timeSigns({ timings, isShort }: Moment): Sign[] {
+  const signs: Sign[] = [];
+  if (isShort)
+    signs.push({
+      severity: "note",
+      title: "Server short of time",
+      text: "The server leaves work out of this session's frames, or tracks a coarser mesh: too many frames or sessions for its cores.",
+    });
+  const { server = 0, queue = 0 } = timings;
+  if (server <= LATE.note) return signs;
+  const ms = (seconds: number) => Math.round(1000 * seconds);
+  const why =
+    2 * queue > server ? "the frames before it and other sessions keep the worker busy" : "tracking the frame took the rest";
+  const text = `The last answer took ${ms(server)} ms at the server, ${ms(queue)} ms of it before a worker took the frame: ${why}.`;
+  return [...signs, { severity: server > LATE.poor ? "poor" : "note", title: "Late answers", text }];
+}
+
 function motionSigns(moments: readonly Moment[]): Sign[] {
   const [before, now] = moments.filter(({ shape }) => shape).slice(-2);
   const elapsed = before && now ? now.captureTime - before.captureTime : 0;
@@ -160,4 +172,15 @@ function mean(values: ArrayLike<number>): number {
 function quantile(values: number[], q: number): number {
   const sorted = [...values].sort((a, b) => a - b);
   return sorted[Math.min(sorted.length - 1, Math.floor(q * sorted.length))] ?? NaN;
+}
+
+/** How a session has ended, by its history. */
+export function endOf({ samples }: Pick<messages.SessionHistory, "samples">): string {
+  const count = (of: "framesApplied" | "framesRejected") => samples.reduce((sum, sample) => sum + Number(sample[of]), 0);
+  if (count("framesApplied") > 0) return "The session has ended; the charts have its history.";
+  const refused = count("framesRejected");
+  const frames = refused === 1 ? "1 frame was" : `${refused} frames were`;
+  return refused > 0
+    ? `The session has ended; ${frames} refused, none was tracked. The server's log has the reason.`
+    : "The session has ended; no frame was tracked.";
 }

@@ -3,20 +3,26 @@ import { recency, type Row } from "../api/fleet.js";
 import { reasonOf } from "../api/connection.js";
 import { Sparkline } from "../charts/sparkline.js";
 import { button, h, icon, set, text } from "../dom.js";
-import { duration, fixed, milliseconds, percent, type StateName } from "../format.js";
+import { duration, fixed, labelled, milliseconds, percent, type StateName } from "../format.js";
 import { pastSessions } from "./past.js";
 import { statePill, stateWord, type App, type View } from "./view.js";
 
 const SPARK_SAMPLES = 60;
+const POOR_SHARE = 0.1; // of dropped frames
 const FILTERS: StateName[] = ["tracking", "recovering", "lost", "initializing", "idle"];
 
-type Key = "id" | "state" | "reliability" | "frameRate" | "dropped" | "latency" | "age";
+type Key = "id" | "state" | "reliability" | "frameRate" | "droppedShare" | "latency" | "age";
 const COLUMNS: { key: Key; label: string; numeric?: boolean; hint: string }[] = [
   { key: "id", label: "Session", hint: "Id and labels" },
   { key: "state", label: "State", hint: "State of the tracker, or why no frames come" },
   { key: "reliability", label: "Reliability", hint: "Of the last frame, and its course over a minute" },
   { key: "frameRate", label: "Frames/s", numeric: true, hint: "Tracked frames per second" },
-  { key: "dropped", label: "Dropped", numeric: true, hint: "Frames replaced by newer ones or too late, of all" },
+  {
+    key: "droppedShare",
+    label: "Dropped",
+    numeric: true,
+    hint: "Share of the last seconds' frames that newer ones replaced or that were late",
+  },
   { key: "latency", label: "Latency", numeric: true, hint: "From arrival to answer, last frame" },
   { key: "age", label: "Last frame", numeric: true, hint: "Time since the last frame" },
 ];
@@ -36,6 +42,7 @@ class FleetView {
   private readonly chips = new Map<StateName, HTMLButtonElement>();
   private readonly body = h("tbody");
   private readonly heads = new Map<Key, HTMLTableCellElement>();
+  private readonly toolbar: HTMLElement;
   private readonly table: HTMLElement;
   private readonly trySample: HTMLElement;
   private readonly notice = h("div.notice-place");
@@ -57,7 +64,7 @@ class FleetView {
     );
     this.search.addEventListener("input", this.draw);
     const chips = FILTERS.map((state) => this.chip(state));
-    const toolbar = h(
+    this.toolbar = h(
       "div.toolbar",
       {},
       this.search,
@@ -67,7 +74,7 @@ class FleetView {
     );
     this.trySample = sampleButton(app);
     const title = h("div.title-row", {}, h("h1", {}, "Sessions"), h("span.space"), this.trySample);
-    this.element = h("div.page", {}, title, toolbar, this.notice, this.table, pastSessions(app));
+    this.element = h("div.page", {}, title, this.toolbar, this.notice, this.table, pastSessions(app));
     this.unlisten = app.fleet.onChange(this.draw);
     this.draw();
   }
@@ -121,7 +128,8 @@ class FleetView {
   private drawNotice(shown: number): void {
     const { fleet } = this.app;
     const total = fleet.rows.length;
-    set(this.table, { hidden: total === 0 });
+    for (const part of [this.toolbar, this.table]) set(part, { hidden: total === 0 });
+    this.table.classList.toggle("stale", fleet.failure !== undefined);
     set(this.trySample, { hidden: total === 0 });
     text(this.count, total === 0 ? "" : shown === total ? `${total} live` : `${shown} of ${total} live`);
     const kind = fleet.failure
@@ -155,7 +163,7 @@ class FleetView {
   private readonly matches = (row: Row): boolean => {
     if (this.states.size > 0 && !this.states.has(row.state)) return false;
     const words = this.search.value.toLowerCase().split(/\s+/).filter(Boolean);
-    const all = [row.id, ...Object.entries(row.labels).map(([key, value]) => `${key}=${value}`)].join(" ").toLowerCase();
+    const all = `${row.id} ${labelled(row.labels)}`.toLowerCase();
     return words.every((word) => all.includes(word));
   };
 
@@ -203,16 +211,17 @@ class RowView {
   }
 
   set(row: Row, own: boolean): void {
-    const labels = Object.entries(row.labels).map(([key, value]) => `${key}=${value}`);
-    text(this.labels, [...labels, ...(own ? ["played by this page"] : [])].join(" · "));
+    const words = [own ? "played by this page" : "", labelled(row.labels)].filter(Boolean).join(" · ");
+    text(this.labels, words);
+    set(this.labels, { title: words });
     set(this.pill, { "data-state": row.state });
     text(this.pill, stateWord(row.state));
     this.spark.set(row.spark);
     text(this.reliability, fixed(row.reliability, 2));
     text(this.cells.frameRate, row.frameRate > 0 ? fixed(row.frameRate) : "–");
-    const share = row.dropped / Math.max(1, row.dropped + row.applied);
-    text(this.cells.dropped, row.dropped > 0 ? `${row.dropped} (${percent(share)})` : "0");
-    set(this.cells.dropped, { "data-poor": share > 0.1 });
+    const share = row.droppedShare;
+    text(this.cells.dropped, percent(share));
+    set(this.cells.dropped, { "data-poor": share > POOR_SHARE, title: `${row.dropped} since the session began` });
     text(this.cells.latency, milliseconds(row.latency));
     const age = `${duration(Math.max(0, Date.now() / 1000 - row.lastFrame))} ago`;
     text(this.cells.age, Number.isNaN(row.lastFrame) ? "none yet" : age);

@@ -1,8 +1,8 @@
 /** Past sessions: ended ones that the server remembers, newest first. */
 import type { messages } from "ddakf-client";
 import { reasonOf } from "../api/connection.js";
-import { button, h } from "../dom.js";
-import { duration, fixed, seconds, sessionId, stateName } from "../format.js";
+import { h } from "../dom.js";
+import { duration, fixed, labelled, seconds, sessionId, stateName } from "../format.js";
 import { statePill, type App } from "./view.js";
 
 const SHOWN = 100;
@@ -21,19 +21,11 @@ export function pastSessions(app: App): HTMLElement {
       if (names !== shown)
         content.replaceChildren(past.length > 0 ? table(past) : h("p.muted", {}, "No ended session is remembered."));
       shown = names;
-      timer = setTimeout(() => section.open && section.isConnected && void load(), INTERVAL);
     } catch (error) {
       shown = undefined;
-      content.replaceChildren(
-        h(
-          "p.error",
-          { role: "alert" },
-          reasonOf(error),
-          " ",
-          button("Try again", () => void load()),
-        ),
-      );
+      content.replaceChildren(h("p.error", { role: "alert" }, reasonOf(error)));
     }
+    timer = setTimeout(() => section.open && section.isConnected && void load(), INTERVAL);
   };
   section.addEventListener("toggle", () => {
     clearTimeout(timer);
@@ -62,11 +54,11 @@ function table(sessions: messages.Session[]): HTMLElement {
     const created = seconds(session.createTime);
     const last = seconds(statistics?.lastFrameTime);
     const frames = Number(statistics?.framesApplied ?? 0);
-    const labels = Object.entries(session.labels).map(([key, value]) => `${key}=${value}`);
+    const labels = labelled(session.labels);
     return h(
       "tr",
       {},
-      h("th", { scope: "row" }, h("a", { href: `#/sessions/${id}` }, id), h("span.labels", {}, labels.join(" · "))),
+      h("th", { scope: "row" }, h("a", { href: `#/sessions/${id}` }, id), h("span.labels", { title: labels }, labels)),
       h("td", {}, statePill(stateName(session.state))),
       h("td", {}, new Date(1000 * created).toLocaleString()),
       h("td.numeric", {}, Number.isNaN(last) ? "–" : duration(last - created)),

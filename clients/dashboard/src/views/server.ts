@@ -1,8 +1,9 @@
 /** Server: its health and workers, and its metrics as charts, collected while this page is open. */
 import { CONDITIONS, type Fleet, type Health } from "../api/fleet.js";
+import { overloadOf } from "../api/overload.js";
 import { reasonOf } from "../api/connection.js";
 import { TimeChart, type ChartOptions } from "../charts/timechart.js";
-import { h, icon, text } from "../dom.js";
+import { h, icon, set, text } from "../dom.js";
 import { bytes, fixed, milliseconds, percent, sentence } from "../format.js";
 import { onTheme } from "../theme.js";
 import type { App, View } from "./view.js";
@@ -29,10 +30,11 @@ const CHARTS: (ChartOptions & { columns: Column[] })[] = [
     lines: [
       { label: "median", colour: "series-1", filled: true },
       { label: "99 %", colour: "series-2" },
+      { label: "mean wait for a worker", colour: "series-4" },
     ],
     show: milliseconds,
     least: 0.001,
-    columns: [(s) => s.median, (s) => s.slowest],
+    columns: [(s) => s.median, (s) => s.slowest, (s) => s.wait],
   },
   {
     title: "Mean reliability",
@@ -91,6 +93,7 @@ export function serverView(app: App): View {
   const notice = h("div.notice-place", { role: "status" });
   const { serverVersion, apiVersion, build } = client.server;
   const version = h("p.muted", {}, `ddakf ${serverVersion}, API ${apiVersion}${build ? `, build ${build}` : ""}`);
+  const grid = h("div.chart-grid", {}, ...charts.map(({ chart }) => h("div.card", {}, chart.element)));
   const element = h(
     "div.page",
     {},
@@ -101,13 +104,14 @@ export function serverView(app: App): View {
       {},
       ...cards.map(({ name, hint, place }) => h("div.card.small", { title: hint }, h("span.card-label", {}, name), place)),
     ),
-    h("div.chart-grid", {}, ...charts.map(({ chart }) => h("div.card", {}, chart.element))),
+    grid,
     explanation(),
   );
   const draw = () => {
     for (const { place, value } of cards) text(place, value(fleet, fleet.health.at(-1)));
     const times = fleet.health.map(({ time }) => time);
     for (const { chart, columns } of charts) chart.set({ times, values: columns.map((column) => fleet.health.map(column)) });
+    set(grid, { hidden: fleet.noMetrics !== undefined && fleet.health.length === 0 });
     const words = troubleOf(fleet);
     if (notice.textContent !== words) notice.replaceChildren(...(words ? [h("p.banner.poor", {}, icon("warning"), words)] : []));
   };
@@ -129,8 +133,10 @@ function explanation(): HTMLElement {
   return h("p.muted", {}, words, h("code", {}, "/metrics"), "; the REST interface is described in ", docs, ".");
 }
 
-function troubleOf({ condition, failure, readiness, noMetrics, problems }: Fleet): string {
+function troubleOf({ condition, failure, readiness, noMetrics, problems, health }: Fleet): string {
   if (failure) return reasonOf(failure);
   if (condition === "unready") return sentence(readiness);
-  return noMetrics ? `No metrics: ${reasonOf(noMetrics)}` : problems.join(" ");
+  if (noMetrics) return `No charts. ${reasonOf(noMetrics)}.`;
+  const last = health.at(-1);
+  return [...problems, last ? overloadOf(last) : ""].filter(Boolean).join(" ");
 }

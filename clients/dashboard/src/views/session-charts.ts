@@ -162,13 +162,13 @@ export class Charts {
     if (this.past) this.choose(true);
   }
 
-  /** Asks for the history; returns whether the server has stored one. */
-  async loadHistory(): Promise<boolean> {
-    if (!this.past) return false;
+  /** Asks for the history; undefined: the server has stored none. */
+  async loadHistory(): Promise<messages.SessionHistory | undefined> {
+    if (!this.past) return undefined;
     const { client, id } = this.past;
     this.history = await client.history(id, { maxSamples: HISTORY_SAMPLES }).catch(() => undefined); // nothing is stored
     if (this.all) this.draw();
-    return this.history !== undefined;
+    return this.history;
   }
 
   private choose(all: boolean): void {
@@ -202,6 +202,11 @@ export class Charts {
     const states = stateChanges
       .map(({ time, state }) => ({ time: seconds(time), state: stateName(state) }))
       .filter(({ time }) => time < end);
-    return { times, values: columns.map((column) => samples.map(column)), bands: bandsOf(states, end) };
+    return { times, values: columns.map((column) => samples.map(tracked(column))), bands: bandsOf(states, end) };
   }
+}
+
+/** Numbers of samples with tracked frames; the others have none. */
+function tracked(column: (sample: Sample) => number): (sample: Sample) => number {
+  return (sample) => (sample.framesApplied > 0 ? column(sample) : NaN);
 }

@@ -12,8 +12,9 @@ import {
 import { reasonOf } from "../api/connection.js";
 import type { Row } from "../api/fleet.js";
 import { h } from "../dom.js";
-import { fixed, stateName } from "../format.js";
+import { sentence, stateName } from "../format.js";
 import type { Cloud } from "../session/cloud.js";
+import { endOf } from "../session/diagnosis.js";
 import { Memory } from "../session/memory.js";
 import { Watching, isPassing } from "../session/watching.js";
 import { PlayerPanel } from "./player-panel.js";
@@ -96,6 +97,7 @@ class SessionView {
       const whole = await session.info({ full: true });
       if (this.closed) return;
       this.bench.showState(stateName(whole.state));
+      this.bench.showLabels(whole.labels);
       this.begin(whole);
     } catch (error) {
       if (this.closed) return;
@@ -109,6 +111,7 @@ class SessionView {
   }
 
   private sayLost(reason: string): void {
+    this.bench.showLost(true);
     this.bench.say(`Connection lost, trying again. ${reason}`, "poor", 0);
   }
 
@@ -131,6 +134,7 @@ class SessionView {
       onResult: this.onResult,
       onNotice: this.onNotice,
       onLost: (lost, reason) => {
+        this.bench.showLost(lost);
         if (lost) this.sayLost(reason);
         else this.bench.say("", "poor", 0);
       },
@@ -147,14 +151,14 @@ class SessionView {
     this.bench.follow();
   };
 
-  private readonly onNotice = ({ kind, message, value }: Notice) => {
+  private readonly onNotice = ({ kind, message }: Notice) => {
     const say = (words: string, severity: string, seconds = NOTICE_SECONDS) => {
       this.bench.say(words, severity, seconds);
     };
     if (kind === "waiting") say(`The server waits for a worker: ${message}`, "poor");
     else if (kind === "resumed") say(`The session goes on in another worker: ${message}`, "note");
     else if (kind === "draining") say(`The server stops: ${message}`, "poor", 0);
-    else if (kind === "slow_down") say(`The server can track ${fixed(value)} frames per second of this session now`, "note");
+    else if (kind === "slow_down") say(sentence(message), "note");
   };
 
   private end(error: unknown): void {
@@ -169,8 +173,9 @@ class SessionView {
   }
 
   private async sayEnded(): Promise<void> {
-    const isStored = await this.bench.charts.loadHistory();
-    const words = isStored ? "The session has ended; the charts have its history." : `There is no session ${this.id}.`;
+    const history = await this.bench.charts.loadHistory();
+    const isStored = history !== undefined;
+    const words = history ? endOf(history) : `There is no session ${this.id}.`;
     if (this.closed) return;
     if (!isStored && !this.bench.memory.newest) this.bench.showState((this.bench.ended = "unknown"));
     this.bench.say(words, "note", 0);

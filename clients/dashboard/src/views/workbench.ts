@@ -2,7 +2,7 @@
 import type { Client } from "ddakf-client";
 import { reasonOf } from "../api/connection.js";
 import { h, icon, set, text, type Child } from "../dom.js";
-import { fixed, milliseconds, percent, type StateName } from "../format.js";
+import { fixed, labelled, milliseconds, percent, type StateName } from "../format.js";
 import { Scene } from "../scene/scene.js";
 import type { Memory, Moment } from "../session/memory.js";
 import { onTheme } from "../theme.js";
@@ -34,7 +34,7 @@ const FIGURES = {
   reliability: "Of the last frame; high means low error",
   "frames/s": "Tracked frames per second, last two seconds",
   latency: "From arrival at the server to the answer",
-  dropped: "Frames replaced by newer ones, of all",
+  dropped: "Frames replaced by newer ones or too late, last two seconds",
 };
 
 export class Workbench {
@@ -53,7 +53,10 @@ export class Workbench {
   private readonly inspector: Inspector;
   private readonly endings: (() => void)[] = [];
   private scene: Scene | undefined;
+  private readonly labels = h("span.labels");
+  private keyFigures!: HTMLElement;
   private isIdle = false;
+  private isLost = false;
   private noticeTimer: ReturnType<typeof setTimeout> | undefined;
 
   constructor(private readonly options: WorkbenchOptions) {
@@ -117,6 +120,19 @@ export class Workbench {
     else this.showState("idle");
   }
 
+  /** The connection is lost, or there again: until the next moment nothing is known. */
+  showLost(lost: boolean): void {
+    if (lost === this.isLost || this.ended) return;
+    this.isLost = lost;
+    this.keyFigures.classList.toggle("stale", lost);
+    if (lost) this.showState("unknown");
+  }
+
+  showLabels(labels: Readonly<Record<string, string>>): void {
+    text(this.labels, labelled(labels));
+    set(this.labels, { title: labelled(labels) });
+  }
+
   showState(state: StateName): void {
     set(this.pill, { "data-state": state });
     text(this.pill, stateWord(state));
@@ -147,16 +163,16 @@ export class Workbench {
       moments: () => this.memory.moments,
       picture: () => this.scene?.picture() ?? Promise.resolve(null),
     });
+    this.keyFigures = h("div.key-figures", {}, ...Object.entries(FIGURES).map(figure));
     return h(
       "div.title-row",
       {},
       h("a.back", { href: "#/", "aria-label": "All sessions" }, icon("back")),
-      h("h1", {}, title),
+      h("div.named", {}, h("h1", {}, title), this.labels),
       this.pill,
       h("span.space"),
-      h("div.key-figures", {}, ...Object.entries(FIGURES).map(figure)),
-      ...actions,
-      exports,
+      this.keyFigures,
+      h("div.actions", {}, ...actions, exports),
     );
   }
 
@@ -167,16 +183,18 @@ export class Workbench {
     const isIdle = this.isIdle && moment === this.memory.newest;
     if (isIdle) this.diagnosis.say("No frames come.");
     else this.diagnosis.show(this.memory.moments.slice(Math.max(0, index - 90), index + 1), this.faces);
-    this.showState(this.ended ?? (isIdle ? "idle" : (moment.state as StateName))); // a moment may be drawn after the end
+    const state = isIdle ? "idle" : (moment.state as StateName);
+    this.showState(this.ended ?? (this.isLost ? "unknown" : state)); // a moment may be drawn after the end
     this.stage.describe(moment);
     const recent = this.memory.moments.slice(Math.max(0, index - 120), index + 1).filter(({ time }) => time > moment.time - 2);
     const first = recent[0] ?? moment;
     const rate = (moment.applied - first.applied) / (moment.time - first.time);
-    const total = moment.dropped + moment.applied;
+    const dropped = moment.dropped - first.dropped;
+    const share = dropped / Math.max(1, dropped + moment.applied - first.applied);
     this.figure("reliability", fixed(moment.reliability, 2));
     this.figure("frames/s", fixed(isIdle ? 0 : rate));
     this.figure("latency", milliseconds(moment.timings["server"] ?? NaN));
-    this.figure("dropped", moment.dropped > 0 ? percent(moment.dropped / total, 1) : "0");
+    this.figure("dropped", dropped > 0 ? percent(share, 1) : "0");
   };
 
   private figure(name: string, value: string): void {

@@ -16,6 +16,7 @@ STYLE = (
     "pre{background:#f4f4f4;padding:.6rem;overflow-x:auto}table{border-collapse:collapse;width:100%;margin:.4rem 0}"
     "th,td{text-align:left;vertical-align:top;padding:.15rem .8rem .15rem 0;border-bottom:1px solid #eee}"
     "th{font-weight:600}b.method{display:inline-block;min-width:4.5rem}"
+    "ul{list-style:none;padding:0}li{margin:.2rem 0}.purpose{margin-left:1rem;opacity:.75;font-size:.9em}"
     "@media(prefers-color-scheme:dark){body{color:#ddd;background:#1b1b1b}pre{background:#262626}a{color:#8bf}"
     "h2,th,td{border-color:#444}}"
 )
@@ -39,7 +40,7 @@ def documentation_page(document: dict[str, Any]) -> str:
     title = escape(f"{document['info']['title']} {document['info']['version']}")
     body = [
         f"<h1>{title}</h1>{_paragraphs(document['info']['description'])}",
-        '<p>As a document for programs: <a href="/openapi.json">/openapi.json</a>. A key travels as '
+        '<p>As a document for programs: <a href="openapi.json">openapi.json</a>. A key travels as '
         "<code>Authorization: Bearer KEY</code>.</p>",
         f"<ul>{''.join(_entry(method, path, operation) for _, method, path, operation in operations)}</ul>",
     ]
@@ -53,7 +54,14 @@ def documentation_page(document: dict[str, Any]) -> str:
 
 
 def _entry(method: str, path: str, operation: dict) -> str:
-    return f'<li><b class="method">{method}</b> <a href="#{operation["operationId"]}"><code>{escape(path)}</code></a></li>'
+    link = f'<a href="#{operation["operationId"]}"><code>{escape(path)}</code></a>'
+    purpose = _first_sentence(operation.get("description", ""))
+    return f'<li><b class="method">{method}</b> {link}<span class="purpose">{escape(purpose)}</span></li>'
+
+
+def _first_sentence(text: str) -> str:
+    """Text up to its first end of a sentence, or of a part that stands alone."""
+    return re.split(r"[.;:](?:\s|$)", text, maxsplit=1)[0]
 
 
 def _operation(method: str, path: str, operation: dict) -> str:
