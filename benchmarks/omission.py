@@ -38,14 +38,15 @@ INSIDE = 6.251  # squared Mahalanobis distance of the 90 % ellipsoid
 SLACK = 1.2  # over its budget: a frame that took longer is late
 SHARES = (1.3, 1.0, 0.85, 0.75)  # of the median time of a whole frame
 NONE, ONE, TWO = (Effort(passes=count) for count in range(3))
+# functions of ddakf.planning.plan, and the work that each allows instead
 FORCED = {
-    "half the points": {"points": Effort(points=0.5)},
-    "a quarter of the points": {"points": Effort(points=0.25)},
-    "no cluster alignment": {"clusters": NONE},
-    "all but two passes": {"passes": TWO},
-    "all but one pass": {"passes": ONE},
-    "the same, cluster alignment": {"clusters": NONE, "passes": ONE},
-    "the same, half the points": {"points": Effort(points=0.5), "clusters": NONE, "passes": ONE},
+    "half the points": {"limit_points": Effort(points=0.5)},
+    "a quarter of the points": {"limit_points": Effort(points=0.25)},
+    "no cluster alignment": {"limit_alignment": NONE},
+    "all but two passes": {"limit_passes": TWO},
+    "all but one pass": {"limit_passes": ONE},
+    "the same, cluster alignment": {"limit_alignment": NONE, "limit_passes": ONE},
+    "the same, half the points": {"limit_points": Effort(points=0.5), "limit_alignment": NONE, "limit_passes": ONE},
 }
 GROWTHS = ("points", "clusters", "passes")
 
@@ -63,7 +64,7 @@ class Run(NamedTuple):
 @contextmanager
 def forced(efforts: dict[str, Effort], seen: list) -> Iterator[None]:
     """Every frame's work is cut so; what is left out of each frame is appended to the list."""
-    efforts = {"points": Effort()} | efforts if efforts else {}
+    efforts = {"limit_points": Effort()} | efforts if efforts else {}
     before = {name: getattr(plan, name) for name in efforts}
     widening = omission.widening
 

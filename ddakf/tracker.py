@@ -114,7 +114,7 @@ class Tracker:
         velocity = np.zeros((n, 3)) if velocities is None else frame_input.positions("velocities", velocities, n)
         units.require_start(self.garment, position, velocity)
         known = None if vertices is None else self._track.body
-        track = _start(self._setup, self._working.sampled(position), self._working.sampled(velocity), known)
+        track = _first_track(self._setup, self._working.sampled(position), self._working.sampled(velocity), known)
         if vertices is not None:
             resting = rigidity.resting(track.state.position, self._setup)
             track = track._replace(resting=resting, size=resting.size)
@@ -137,14 +137,14 @@ class Tracker:
         """
         clock, given = Clock(budget, limit), FrameInput(points, timestamp, sensor_origin, body_vertices, colors)
         with clock("input"):
-            frame, last = admission.admitted(self._setup, self._track, given)
+            frame, last = admission.admit(self._setup, self._track, given)
         with clock("predict"):  # A. Prediction (2.2), riding on the body
-            problem = relocalize.locate(plan.search(clock, predict.begin(self._setup, last, frame)))
+            problem = relocalize.locate(plan.allow_search(clock, predict.begin(self._setup, last, frame)))
         with clock("preprocess"):  # Preprocessing (2.1)
-            problem = colour.begin(body_anchor.measure(preprocess.preprocess(plan.points(clock, problem))))
+            problem = colour.begin(body_anchor.measure(preprocess.preprocess(plan.limit_points(clock, problem))))
         with clock("coarse"):
-            estimate = cluster_alignment.align(plan.clusters(clock, problem))
-        for gate in associate.gates(plan.passes(clock, problem)):
+            estimate = cluster_alignment.align(plan.limit_alignment(clock, problem))
+        for gate in associate.gates(plan.limit_passes(clock, problem)):
             with clock("associate"):  # B. Association (2.3)
                 measurement = colour.register(problem, estimate, associate.associate(problem, estimate, gate))
             with clock("robust"):  # C. Robustness (2.5)
@@ -155,15 +155,15 @@ class Tracker:
                 forces = energies.linearize(problem, estimate)
             with clock("fuse"):  # F. Fusion update (2.4, 2.8)
                 estimate = fuse.fuse(problem, estimate, UpdateTerms(measurement, weight, R, forces), gate)
-            if estimate.settled:
+            if estimate.finished:
                 break
         with clock("uncertainty"):
             posterior = uncertainty.posterior(problem, estimate)
         with clock("reliability"):  # G. Reliability (2.6), and warnings of wrong input
-            verdict = warnings.warned(problem, estimate, reliability.judge(problem, estimate, posterior))
+            verdict = warnings.add_warnings(problem, estimate, reliability.judge(problem, estimate, posterior))
         with clock("output"):  # H. Output
             track, result = self._output(problem, estimate, posterior, verdict)
-        self._track = plan.learned(clock, track, problem, estimate)
+        self._track = plan.learn_costs(clock, track, problem, estimate)
         return clock.timed(result)
 
     def _output(
@@ -171,13 +171,13 @@ class Tracker:
     ) -> tuple[Track, FrameResult]:
         """The track after a frame, and its result at the template's vertices; of the prediction where the fit has collapsed."""
         if frame_gate.collapsed(problem, estimate, verdict):
-            estimate, verdict = frame_gate.held(problem, estimate, verdict)
+            estimate, verdict = frame_gate.keep_prediction(problem, estimate, verdict)
             problem = problem._replace(last=problem.last._replace(view=self._track.view, sensors=self._track.sensors))
             posterior = uncertainty.posterior(problem, estimate)
-        posterior = uncertainty.widened(problem, estimate, posterior, verdict.widening)
+        posterior = uncertainty.widen(problem, estimate, posterior, verdict.widening)
         posterior = posterior._replace(state=predict.with_given_velocity(problem, posterior.state))
         posterior, offset = hidden_cloth.follow_seen(problem, estimate, posterior)
-        track = _learned(self._setup, problem, estimate, posterior, verdict)._replace(offset=offset)
+        track = _next_track(self._setup, problem, estimate, posterior, verdict)._replace(offset=offset)
         result = _result(problem, estimate, posterior, verdict, track)
         return track, self._working.result(result, track.rotation)
 
@@ -205,7 +205,7 @@ class Tracker:
             return result
         later = predict.ahead(track, seconds, self.config.predict)
         grown = result.covariance + (later.growth if later.growth.ndim == 2 else working.spread(later.growth))
-        covariance = uncertainty.capped(grown, self.config.uncertainty)
+        covariance = uncertainty.cap(grown, self.config.uncertainty)
         return dataclasses.replace(
             result,
             vertices=working.carried(track.shown(later.position), track.rotation),
@@ -308,7 +308,7 @@ def _shaping(config: Config) -> tuple:
     return config.physics, config.anchor, config.start.up, config.colour.texel
 
 
-def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray, known: BodyTrack | None = None) -> Track:
+def _first_track(setup: Setup, position: np.ndarray, velocity: np.ndarray, known: BodyTrack | None = None) -> Track:
     """The track before the first frame, of vertices at (V, 3) ``position``, metres, on a body that may be in a known pose."""
     garment, body, config = setup.model, setup.body, setup.config
     start, under, anchor = config.start, None, None
@@ -328,29 +328,29 @@ def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray, known: Body
     )
 
 
-def _learned(
+def _next_track(
     setup: Setup, problem: Problem, estimate: Estimate, posterior: Posterior, verdict: reliability.Verdict
 ) -> Track:
     """The track after a frame."""
     state, position, measured = posterior.state, posterior.state.position, estimate.learnable
-    larger = size.learned(problem, estimate, position, verdict.health.reliability)
+    larger = size.learn(problem, estimate, position, verdict.health.reliability)
     return Track(
         state=state,
         rotation=problem.rotation if estimate.rejected else rigidity.against_template(estimate.rest, problem.resting),
         drift=posterior.drift,
-        strain2=adaptive_stiffness.learned(problem, position, measured),
+        strain2=adaptive_stiffness.learn(problem, position, measured),
         health=verdict.health,
         time=problem.frame.timestamp,
-        body=contact.learned(problem, estimate, position),
-        anchor=body_anchor.learned(problem, position, measured),
+        body=contact.learn(problem, estimate, position),
+        anchor=body_anchor.learn(problem, position, measured),
         view=problem.last.view,
         sensors=problem.last.sensors,
         signs=verdict.signs,
         costs=problem.last.costs,
-        resting=rigidity.resized(problem.last.resting, larger, setup),
+        resting=rigidity.resize(problem.last.resting, larger, setup),
         size=larger,
-        appearance=colour.learned(problem, estimate, posterior, verdict.health.reliability),
-        palette=segmentation.learned(problem, position, verdict.health.reliability),
+        appearance=colour.learn(problem, estimate, posterior, verdict.health.reliability),
+        palette=segmentation.learn(problem, position, verdict.health.reliability),
     )
 
 

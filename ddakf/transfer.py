@@ -113,7 +113,7 @@ def _resting(shape: Resting | None, source: Discretised, target: Discretised, ke
     if shape is None:
         return None
     if kept is not None and (kept.source is shape.edge or shape.source is kept.edge):
-        return rigidity.resized(kept, shape.size, target.setup)
+        return rigidity.resize(kept, shape.size, target.setup)
     if not shape.given:
         return rigidity.of_template(shape.size, target.setup)._replace(source=shape.edge)
     position = _moved(shape.position, rigidity.rotations(shape.position, source.setup.model), source, target)

@@ -587,7 +587,7 @@ class Estimate(NamedTuple):
     coarse: np.ndarray | None = None  # (3A, 3A) float32 m^2, coarse level of the preconditioner
     state: State | None = None  # the posterior, where the update itself forms it
     passes: int = 0  # passes at full size in this frame
-    settled: bool = False  # whether the passes have ended
+    finished: bool = False  # whether the passes have ended
     rejected: bool = False  # whether the fit is thrown away, and the prediction kept
     work: Work = Work()
 

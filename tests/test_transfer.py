@@ -70,7 +70,7 @@ def test_the_shape_at_rest_is_carried_over_once():
         assert own._track.resting is first
         assert coarse._track.resting is kept
     learned = np.diag([0.1, 0.1, 0.1])
-    coarse._track = coarse._track._replace(resting=rigidity.resized(kept, learned, coarse._setup))
+    coarse._track = coarse._track._replace(resting=rigidity.resize(kept, learned, coarse._setup))
     own.continue_from(coarse)
     np.testing.assert_array_equal(own._track.resting.size, learned, "a size that is learned meanwhile is kept")
     own.reset(SAMPLE.garment_vertices[FIRST + 1])

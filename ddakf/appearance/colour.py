@@ -135,7 +135,7 @@ def _later(appearance: Appearance) -> np.ndarray:
     return np.where(known, np.maximum(registered2 - np.quantile(registered2[known], BEST), 0.0), 0.0) if known.any() else known
 
 
-def conditioned(problem: Problem, estimate: Estimate, covariance: np.ndarray) -> np.ndarray | None:
+def lower_covariance(problem: Problem, estimate: Estimate, covariance: np.ndarray) -> np.ndarray | None:
     """Lowers the (V, 3, 3) covariance by what the colours showed, in place.
 
     Returns:
@@ -154,7 +154,7 @@ def conditioned(problem: Problem, estimate: Estimate, covariance: np.ndarray) ->
     return before
 
 
-def learned(problem: Problem, estimate: Estimate, posterior: Posterior, reliability: float) -> Appearance | None:
+def learn(problem: Problem, estimate: Estimate, posterior: Posterior, reliability: float) -> Appearance | None:
     """The appearance after a frame. The more certain the place of a vertex, the more its colours count.
 
     The fit of the first frame moves vertices along the surface, where no colour holds them yet: what draws them is an error of

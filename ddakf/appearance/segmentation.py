@@ -69,7 +69,7 @@ def _palette(frame: FrameInput, problem: Problem, position: np.ndarray | None) -
     return palette if palette is not None and _enough(palette, config) else None
 
 
-def learned(problem: Problem, position: np.ndarray, reliability: float) -> Palette | None:
+def learn(problem: Problem, position: np.ndarray, reliability: float) -> Palette | None:
     """The palette after a frame, whose vertices are at (V, 3) ``position``, metres.
 
     A doubtful frame teaches nothing. Where the things far from the garment are no longer in the colours that were learned, light

@@ -152,7 +152,7 @@ def _deviations(anchor: BodyAnchor, guess: np.ndarray, squares: np.ndarray, mode
     return np.maximum(guess * (relative + first) / (seen + first), config.least_sd**2)
 
 
-def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> BodyAnchor | None:
+def learn(problem: Problem, position: np.ndarray, measured: np.ndarray) -> BodyAnchor | None:
     """The anchor after a frame. A relocalized garment gets a new one once it has settled.
 
     Args:

@@ -153,7 +153,7 @@ def nearest(pose: BodyPose, position: np.ndarray) -> Contacts:
     return Contacts(found, position.copy())
 
 
-def followed(problem: Problem, position: np.ndarray) -> Contacts:
+def nearest_from_last(problem: Problem, position: np.ndarray) -> Contacts:
     """Closest points of all vertices at (V, 3) ``position``, metres, where the surface around the former ones has them.
 
     In each frame one vertex in ``faces_followed`` is searched in the whole body, another one each time. All are while the garment
@@ -217,7 +217,7 @@ def within(pose: BodyPose, points: np.ndarray, radius: float) -> np.ndarray:
     return proximity.closest_points(pose.model.tree, pose.surface, points, radius).face >= 0
 
 
-def learned(problem: Problem, estimate: Estimate, position: np.ndarray) -> BodyTrack | None:
+def learn(problem: Problem, estimate: Estimate, position: np.ndarray) -> BodyTrack | None:
     """The body after a frame: where a sensor sees them, vertices may be as close as they turn out to be.
 
     A body is a model that was fitted to something, and wrong by millimetres or centimetres. What lasts, each vertex's gap takes

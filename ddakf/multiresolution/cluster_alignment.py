@@ -53,7 +53,7 @@ def align(problem: Problem) -> Estimate:
     if problem.effort.passes < 1:
         return estimate._replace(work=Work(unaligned=True))
     if problem.body is not None and config.physics.collision > 0:
-        begun = begun._replace(contacts=contact.followed(problem, begun.position))
+        begun = begun._replace(contacts=contact.nearest_from_last(problem, begun.position))
         floor = contact.planes(problem.body, begun.contacts, config.physics)
     work, variance = Work(), max(float(np.median(variances(problem.prior.R))), config.adapt.lowest_sd**2)
     for gate in gates:
@@ -66,9 +66,9 @@ def align(problem: Problem) -> Estimate:
         for term in (estimate.rest, estimate.motion):
             rigidity.turn(term, moved, problem.model, config.physics.rotation_steps)
         estimate = estimate._replace(position=moved)
-        settled = step < coarse.tolerance
-        work = Work(clusters=work.clusters + 1, unaligned=not settled and problem.effort.passes < coarse.iterations)
-        if settled:
+        converged = step < coarse.tolerance
+        work = Work(clusters=work.clusters + 1, unaligned=not converged and problem.effort.passes < coarse.iterations)
+        if converged:
             break
     return begun._replace(position=estimate.position, work=work)
 

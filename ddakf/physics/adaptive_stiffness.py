@@ -45,7 +45,7 @@ def adapted(strain2: float, config: Config) -> Config:
     )
 
 
-def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> float:
+def learn(problem: Problem, position: np.ndarray, measured: np.ndarray) -> float:
     """The squared strain after a frame: it follows the median over the faces whose corners were measured.
 
     The median is used because edges of the cloud and tangles strain some faces more than the cloth itself. Nothing is learned

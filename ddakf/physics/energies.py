@@ -33,7 +33,7 @@ def linearize(problem: Problem, estimate: Estimate) -> Energies:
             layers = self_collision.find(problem.motion_start, position, model.layers)
         folded = self_collision.linearize(position, layers)
     if problem.body is not None and config.collision > 0:
-        contacts = contact.followed(problem, position) if contacts is None else contacts
+        contacts = contact.nearest_from_last(problem, position) if contacts is None else contacts
         contacts = contact.closest(problem.body, position, contacts, model.collision.thickness)
         yielding = config.collision * contact.variances(problem)
         touching = collision.linearize(position, model.collision, contacts.closest, problem.body.gap, yielding)

@@ -60,7 +60,7 @@ def _of_size(model: Model, size: np.ndarray) -> tuple[np.ndarray, StrainConstant
     return sizes.stretched(model.rest_edge, size), strain.of_shape(model.strain, sizes.stretched(model.mesh.vertices, size))
 
 
-def resized(shape: Resting | None, size: np.ndarray, setup: Setup) -> Resting | None:
+def resize(shape: Resting | None, size: np.ndarray, setup: Setup) -> Resting | None:
     """The rest shape at a size (3, 3) that differs noticeably from its own; None: the template."""
     if np.abs(size - (0.0 if shape is None else shape.size)).max() < NOTICED:
         return shape

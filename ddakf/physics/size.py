@@ -43,7 +43,7 @@ def at_start(position: np.ndarray, model: Model, config: Physics) -> np.ndarray:
     return _bounded(_beyond(strain, config.size_slack) / (1.0 + float(np.square(left).mean()) / BELIEVED**2), config)
 
 
-def learned(problem: Problem, estimate: Estimate, position: np.ndarray, reliability: float) -> np.ndarray:
+def learn(problem: Problem, estimate: Estimate, position: np.ndarray, reliability: float) -> np.ndarray:
     """(3, 3) logarithm of the stretch after a frame: it follows the strain that the measured edges have in common.
 
     Cloth that is too large folds instead of being strained, and its hems reach beyond the cloud: their strain is added.

@@ -41,7 +41,7 @@ def bound(rate: Rate) -> float:
     return rate.mean + DEVIATIONS * rate.deviation
 
 
-def learned(costs: Costs, measured: Mapping[str, float], model: Model) -> Costs:
+def learn(costs: Costs, measured: Mapping[str, float], model: Model) -> Costs:
     """The costs after a frame.
 
     Args:

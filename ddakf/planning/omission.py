@@ -25,8 +25,8 @@ def omitted(problem: Problem, estimate: Estimate) -> Omitted:
         estimate: after the last pass.
     """
     rule = problem.config.associate
-    unsettled = problem.effort.planned and isinstance(rule, PlaneAssociation) and not estimate.settled
-    more = unsettled and not problem.cloud.empty and estimate.passes < rule.most_passes(problem.dt)
+    unfinished = problem.effort.planned and isinstance(rule, PlaneAssociation) and not estimate.finished
+    more = unfinished and not problem.cloud.empty and estimate.passes < rule.most_passes(problem.dt)
     return Omitted(-math.log2(problem.effort.points), int(estimate.work.unaligned), int(more))
 
 

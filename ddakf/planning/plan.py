@@ -7,15 +7,14 @@ then points (``benchmarks/omission.py``). No stage is broken off. Without a budg
 
 from __future__ import annotations
 
-from ddakf.planning import costs as learning
 from ddakf.planning.clock import Clock
-from ddakf.planning.costs import OVERRUN_SHARE, OVERRUNS, SAME_KIND, SPARE_POINTS, bound
+from ddakf.planning.costs import OVERRUN_SHARE, OVERRUNS, SAME_KIND, SPARE_POINTS, bound, learn, typical
 from ddakf.planning.work import Costs, Effort
 from ddakf.search import relocalize
 from ddakf.types import Estimate, Problem, Track
 
 
-def search(clock: Clock, problem: Problem) -> Problem:
+def allow_search(clock: Clock, problem: Problem) -> Problem:
     """The problem, a search allowed or not. One that does not fit is allowed all the same in one of a hundred frames.
 
     A prediction that misses the cloud is registered where a search would fit, though that takes less: registered in every
@@ -30,7 +29,7 @@ def search(clock: Clock, problem: Problem) -> Problem:
     return problem._replace(effort=Effort(search=fits or (due and costs.overruns >= 1.0), due=due))
 
 
-def points(clock: Clock, problem: Problem) -> Problem:
+def limit_points(clock: Clock, problem: Problem) -> Problem:
     """The problem with the share of the points that preprocessing may use."""
     if clock.budget is None:
         return problem
@@ -41,7 +40,7 @@ def points(clock: Clock, problem: Problem) -> Problem:
     return problem._replace(effort=Effort(planned=True, due=problem.effort.due, points=share))
 
 
-def clusters(clock: Clock, problem: Problem) -> Problem:
+def limit_alignment(clock: Clock, problem: Problem) -> Problem:
     """The problem with the passes of cluster alignment."""
     if clock.budget is None:
         return problem
@@ -50,7 +49,7 @@ def clusters(clock: Clock, problem: Problem) -> Problem:
     return _with_passes(problem, max(left, 0.0) // bound(costs.clusters))
 
 
-def passes(clock: Clock, problem: Problem) -> Problem:
+def limit_passes(clock: Clock, problem: Problem) -> Problem:
     """The problem with the passes at full size; the first is always made."""
     if clock.budget is None:
         return problem
@@ -59,7 +58,7 @@ def passes(clock: Clock, problem: Problem) -> Problem:
     return _with_passes(problem, 1 + max(left, 0.0) // bound(costs.later))
 
 
-def learned(clock: Clock, track: Track, problem: Problem, estimate: Estimate) -> Track:
+def learn_costs(clock: Clock, track: Track, problem: Problem, estimate: Estimate) -> Track:
     """The track after a frame, with the costs that the clock measured.
 
     Args:
@@ -86,12 +85,12 @@ def learned(clock: Clock, track: Track, problem: Problem, estimate: Estimate) ->
     if problem.effort.due and searched > SAME_KIND * costs.search.mean:
         measured["search"] = searched
         overruns -= clock.left() < 0.0
-    new = learning.learned(costs, measured, problem.model)
+    new = learn(costs, measured, problem.model)
     return track._replace(costs=new._replace(overruns=max(0.0, min(overruns, OVERRUNS))))
 
 
 def _costs(problem: Problem) -> Costs:
-    return problem.last.costs or learning.typical(problem.model)
+    return problem.last.costs or typical(problem.model)
 
 
 def _least(problem: Problem, costs: Costs) -> float:

@@ -7,7 +7,7 @@ from ddakf.stages import frame_input
 from ddakf.types import FrameInput, Setup, Track
 
 
-def admitted(setup: Setup, last: Track, given: FrameInput) -> tuple[FrameInput, Track]:
+def admit(setup: Setup, last: Track, given: FrameInput) -> tuple[FrameInput, Track]:
     """The checked frame, and the track with what the cloud says of its sensors.
 
     Args:
@@ -18,8 +18,8 @@ def admitted(setup: Setup, last: Track, given: FrameInput) -> tuple[FrameInput, 
     Raises:
         InvalidFrame: input that cannot be used.
     """
-    frame = frame_input.checked(given, last.time, None if setup.body is None else setup.body.mesh)
+    frame = frame_input.check(given, last.time, None if setup.body is None else setup.body.mesh)
     units.require_scale(setup, last, frame)
-    frame, view = sidedness.seen(setup, last, frame)
-    frame, sensors = sensor_poses.corrected(setup, last, frame)
+    frame, view = sidedness.estimate_origin(setup, last, frame)
+    frame, sensors = sensor_poses.correct(setup, last, frame)
     return frame, last._replace(view=view, sensors=sensors)

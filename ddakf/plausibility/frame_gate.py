@@ -31,11 +31,11 @@ def collapsed(problem: Problem, estimate: Estimate, verdict: Verdict) -> bool:
     return whole < config.gate_ratio * before
 
 
-def held(problem: Problem, estimate: Estimate, verdict: Verdict) -> tuple[Estimate, Verdict]:
+def keep_prediction(problem: Problem, estimate: Estimate, verdict: Verdict) -> tuple[Estimate, Verdict]:
     """The estimate put back to the prediction, and the verdict with the evidence about the error as it was before the frame."""
     after, position = verdict.health, problem.prior.position
     health = problem.health._replace(state=after.state, spacing=after.spacing, reliability=after.reliability)
-    contacts = None if estimate.contacts is None else contact.followed(problem, position)
+    contacts = None if estimate.contacts is None else contact.nearest_from_last(problem, position)
     terms = estimate.terms._replace(measurement=estimate.terms.measurement._replace(hem=None))
     kept = estimate._replace(position=position, contacts=contacts, terms=terms, rejected=True)
     return kept, verdict._replace(health=health)

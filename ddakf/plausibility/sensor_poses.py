@@ -24,7 +24,7 @@ MAX_CELLS = 1 << 21
 OFF = 0.005  # m, root mean square of the shifts from which on sensors are misplaced
 
 
-def corrected(setup: Setup, last: Track, frame: FrameInput) -> tuple[FrameInput, Sensors | None]:
+def correct(setup: Setup, last: Track, frame: FrameInput) -> tuple[FrameInput, Sensors | None]:
     """The frame with its points and sensors where they are by what is known of the sensors, and that.
 
     Args:
@@ -48,7 +48,7 @@ def corrected(setup: Setup, last: Track, frame: FrameInput) -> tuple[FrameInput,
     if sensors.wait > 0 or last.health.unplaced:
         sensors = sensors._replace(wait=max(sensors.wait - 1, 0))
     elif len(distinct) > 1:
-        sensors = _looked(setup, last, frame, sensors, sensor)
+        sensors = _look(setup, last, frame, sensors, sensor)
     points, place = np.empty_like(frame.points), np.empty_like(origin)
     kernels.move(frame.points, origin, sensor, sensors.shift, points, place)
     return frame._replace(points=points, sensor_origin=place), sensors
@@ -84,7 +84,7 @@ def _joined(known: Sensors, more: Sensors) -> Sensors:
     return Sensors(*arrays, information, np.concatenate([known.vector, more.vector]), known.time, known.wait)
 
 
-def _looked(setup: Setup, last: Track, frame: FrameInput, sensors: Sensors, sensor: np.ndarray) -> Sensors:
+def _look(setup: Setup, last: Track, frame: FrameInput, sensors: Sensors, sensor: np.ndarray) -> Sensors:
     """What is known after a look at a frame, of whose points (N,) ``sensor`` is the index."""
     config, n = setup.config.sensor_poses, len(sensors.origin)
     lower, upper, chosen = np.empty(3), np.empty(3), np.empty(len(frame.points), np.int32)

@@ -24,7 +24,7 @@ STEEP = 0.5  # cosine to the vertical, below which a direction is level
 FLAT = 0.9  # length of the mean normal, above which a sheet is flat; level directions see its edge
 
 
-def seen(setup: Setup, last: Track, frame: FrameInput) -> tuple[FrameInput, View]:
+def estimate_origin(setup: Setup, last: Track, frame: FrameInput) -> tuple[FrameInput, View]:
     """The frame with the origin that its cloud was seen from, where it has none and shows one side; and what is known of that.
 
     Args:

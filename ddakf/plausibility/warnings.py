@@ -66,7 +66,7 @@ def reference(given: Mesh, garment: Model, body: Mesh | None, config: Config) ->
     return reference._replace(body_outward=orientation.outward(body), fallen_body=fallen)
 
 
-def warned(problem: Problem, estimate: Estimate, verdict: Verdict) -> Verdict:
+def add_warnings(problem: Problem, estimate: Estimate, verdict: Verdict) -> Verdict:
     """The verdict with the warnings of a frame, and for how many frames each of its signs has been there.
 
     A frame without points says nothing; what was found before it stays.

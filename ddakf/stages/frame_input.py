@@ -19,7 +19,7 @@ BODY_FACTOR = 4.0  # largest ratio of a body's sizes in two poses; millimetres f
 LEAST_STEP = 1e-6  # s, shortest time between two frames
 
 
-def checked(given: FrameInput, last: float | None, body: Mesh | None) -> FrameInput:
+def check(given: FrameInput, last: float | None, body: Mesh | None) -> FrameInput:
     """The frame with arrays of the right type.
 
     Args:

@@ -109,16 +109,16 @@ def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
     step, delta = solve(system, coarse, model, limits), np.empty_like(estimate.position)
     rms = float(np.sqrt(kernels.limit(step, gate, delta) / len(delta)))
     if not np.isfinite(rms):
-        return estimate._replace(position=problem.prior.position, planes=planes, system=system, settled=True, rejected=True)
-    rule, settled = config.associate, True
+        return estimate._replace(position=problem.prior.position, planes=planes, system=system, finished=True, rejected=True)
+    rule, finished = config.associate, True
     if isinstance(rule, PlaneAssociation):
-        settled = estimate.passes >= rule.least_iterations and rms < rule.settled_below(problem.dt)
+        finished = estimate.passes >= rule.least_iterations and rms < rule.settled_below(problem.dt)
     return estimate._replace(
         position=estimate.position + accelerated(estimate, delta, config.fuse),
         planes=planes,
         system=system,
         coarse=coarse,
-        settled=settled,
+        finished=finished,
         before=(estimate.position, delta),
     )
 
@@ -368,8 +368,8 @@ def _decoupled_update(problem: Problem, estimate: Estimate) -> Estimate:
     correction *= np.minimum(1.0, config.longest_correction / np.maximum(length, 1e-12))
     state = state._replace(position=position - correction)
     if not np.isfinite(state.position).all():
-        return estimate._replace(state=prior, position=prior.position, settled=True, rejected=True)
-    return estimate._replace(state=state, position=state.position, settled=True)
+        return estimate._replace(state=prior, position=prior.position, finished=True, rejected=True)
+    return estimate._replace(state=state, position=state.position, finished=True)
 
 
 def condition(prior: State, position: np.ndarray, P_pp: np.ndarray, R: np.ndarray) -> State:

@@ -171,7 +171,7 @@ def ahead(track: Track, seconds: float, config: ConstantVelocity | ConstantAccel
     return Ahead(prior.position, prior.velocity if carrying is None else prior.velocity + carrying, grown)
 
 
-def learned(problem: Problem, posterior: State, measured: np.ndarray) -> State:
+def learn_acceleration(problem: Problem, posterior: State, measured: np.ndarray) -> State:
     """The posterior with the acceleration that its velocities show; with constant velocity as it came.
 
     The prior's acceleration is smoothed with the velocities as they were predicted. Here follows what the frame corrected of

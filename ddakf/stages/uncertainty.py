@@ -40,33 +40,33 @@ SHORTEST = 1.0 / 120.0  # s, shortest step of frames whose innovations are motio
 
 def posterior(problem: Problem, estimate: Estimate) -> Posterior:
     """The garment after the update: mean and stored covariance of every vertex, the calibrated covariance, and the drift."""
-    state = predict.learned(problem, _conditioned(problem, estimate), estimate.learnable)
+    state = predict.learn_acceleration(problem, _stored_state(problem, estimate), estimate.learnable)
     covariance, drift = marginals(problem, estimate, state)
-    tangential2 = colour.conditioned(problem, estimate, covariance)
+    tangential2 = colour.lower_covariance(problem, estimate, covariance)
     turned2 = 0.0
     if drift.unseen_turn > 0.0:
         turned2 = _add_turn(problem, state.position, drift.unseen_turn, covariance)
-        covariance = capped(covariance, problem.config.uncertainty)
+        covariance = cap(covariance, problem.config.uncertainty)
     if problem.lacks_place(estimate.observed):
         blind = covariance + problem.config.sidedness.blind_error**2 * np.eye(3)
-        covariance = capped(blind, problem.config.uncertainty)
+        covariance = cap(blind, problem.config.uncertainty)
     if problem.last.sensors is not None:
-        covariance = capped(covariance + problem.last.sensors.common2 * np.eye(3), problem.config.uncertainty)
+        covariance = cap(covariance + problem.last.sensors.common2 * np.eye(3), problem.config.uncertainty)
     found = Posterior(state, covariance, drift, tangential2, turned2)
-    return widened(problem, estimate, found, omission.widening(problem, estimate))
+    return widen(problem, estimate, found, omission.widening(problem, estimate))
 
 
-def widened(problem: Problem, estimate: Estimate, posterior: Posterior, factor: float) -> Posterior:
+def widen(problem: Problem, estimate: Estimate, posterior: Posterior, factor: float) -> Posterior:
     """The posterior with calibrated standard deviations that are larger by a factor of 1 or more, within the bounds.
 
     The stored blocks, which the paper's preset reports, stay.
     """
     if factor == 1.0 or estimate.state is not None:
         return posterior
-    return posterior._replace(covariance=capped(factor**2 * posterior.covariance, problem.config.uncertainty))
+    return posterior._replace(covariance=cap(factor**2 * posterior.covariance, problem.config.uncertainty))
 
 
-def _conditioned(problem: Problem, estimate: Estimate) -> State:
+def _stored_state(problem: Problem, estimate: Estimate) -> State:
     """Mean and stored covariance of every vertex, within the bounds.
 
     A frame in which nothing was measured, or whose fit was rejected, keeps the prior's covariance.
@@ -109,7 +109,7 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     found = error_size.evidence(problem, estimate, state.position, patches)
     covariance = error_size.resized(covariance, normal, error_size.sizes(problem, estimate, found))
     turned = _unseen_turn(problem, estimate, Surface(state.position, normal), found.slip)
-    return capped(covariance, limits), drift._replace(hem2=found.hem, unseen_turn=turned)
+    return cap(covariance, limits), drift._replace(hem2=found.hem, unseen_turn=turned)
 
 
 def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: float) -> float:
@@ -166,7 +166,7 @@ def _elastic(problem: Problem, estimate: Estimate) -> np.ndarray:
     return B
 
 
-def capped(covariance: np.ndarray, limits: Uncertainty) -> np.ndarray:
+def cap(covariance: np.ndarray, limits: Uncertainty) -> np.ndarray:
     """(V, 3, 3) covariance with a trace of at most 3 ceiling_sd^2; the array itself is scaled."""
     scale = _scale(covariance, limits.ceiling_sd)
     if scale is not None:

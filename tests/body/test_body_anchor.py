@@ -34,7 +34,7 @@ def after(deviation, frames=30, measured=FRONT, dt=1 / FPS, start=None):
     """The pseudo-measurements after frames in which the measured vertices were so far (V, 3) from where the body takes them."""
     known = anchored() if start is None else start
     for _ in range(frames):
-        known = body_anchor.learned(frame(known, posed(BODY), dt), MESH.vertices + deviation, measured)
+        known = body_anchor.learn(frame(known, posed(BODY), dt), MESH.vertices + deviation, measured)
     return known, frame(known, posed(BODY)).anchored
 
 
@@ -79,7 +79,7 @@ def shirt_after(slip, frames=90):
         pose = contact.posed(setup.body, under, body.vertices)
         problem = body_anchor.measure(problem_of(garment, None, Config(), last=last, body=pose, dt=1 / FPS))
         if step < frames:
-            anchor = body_anchor.learned(problem, slipped, seen)
+            anchor = body_anchor.learn(problem, slipped, seen)
     return anchor, problem.anchored, seen
 
 
@@ -167,7 +167,7 @@ def test_nothing_is_held_while_the_body_is_not_known():
     known = anchored()
     unknown = frame(known, None, 0.1)
     assert unknown.anchored is None
-    assert body_anchor.learned(unknown, MESH.vertices, FRONT) is known
+    assert body_anchor.learn(unknown, MESH.vertices, FRONT) is known
 
 
 def test_before_anything_is_seen_the_first_guess_stands():

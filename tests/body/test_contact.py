@@ -47,7 +47,7 @@ def after(track, heights, observed, dt, searched=True):
     last = Track(None, None, None, 0.0, Health(), None, track, None)
     pose, position = contact.posed(MODEL, track), above(heights)
     problem = problem_of(None, None, dataclasses.replace(Config(), physics=CONFIG), last=last, body=pose, dt=dt)
-    return contact.learned(problem, seen(position, observed, contact.nearest(pose, position) if searched else None), position)
+    return contact.learn(problem, seen(position, observed, contact.nearest(pose, position) if searched else None), position)
 
 
 def seen(position, observed, contacts, at=None):
@@ -139,7 +139,7 @@ def test_a_vertex_that_was_far_from_the_body_is_searched_at_once():
     far = exact.closest._replace(face=np.full(len(position), -1, np.int32))
     pose = contact.posed(MODEL, track._replace(contacts=contact.Contacts(far, position), turn=1))
     last, health = Track(None, None, None, 0.0, Health(), None, track, None), Health(state="tracking")
-    found = contact.followed(problem_of(None, None, last=last, body=pose, health=health), position)
+    found = contact.nearest_from_last(problem_of(None, None, last=last, body=pose, health=health), position)
     np.testing.assert_array_equal(found.closest.face, exact.closest.face)
 
 
@@ -155,11 +155,11 @@ def test_each_vertex_is_searched_in_the_whole_body_once_in_a_round_of_frames(mon
         last, health = Track(None, None, None, 0.0, Health(), None, track, None), Health(state="tracking")
         pose, config = contact.posed(MODEL, track), dataclasses.replace(Config(), physics=CONFIG)
         problem = problem_of(None, None, config, last=last, body=pose, health=health)
-        found = contact.followed(problem, position)
+        found = contact.nearest_from_last(problem, position)
         right = found.closest.face == exact
         assert right[turn::every].all()
         assert right.sum() == sum(len(right[t::every]) for t in range(turn + 1))
-        track = contact.learned(problem, seen(position, np.ones(len(position), bool), found), position)
+        track = contact.learn(problem, seen(position, np.ones(len(position), bool), found), position)
     assert right.all()
 
 
@@ -171,7 +171,7 @@ def test_all_vertices_are_searched_in_the_whole_body_while_the_garment_is_not_tr
     for health in (Health(), Health(state="lost"), Health(state="tracking", settling=2)):
         last = Track(None, None, None, 0.0, health, None, track, None)
         problem = problem_of(None, None, Config(), last=last, body=pose, health=health)
-        found, exact = contact.followed(problem, position), contact.nearest(pose, position)
+        found, exact = contact.nearest_from_last(problem, position), contact.nearest(pose, position)
         np.testing.assert_array_equal(found.closest.face, exact.closest.face)
 
 
@@ -186,7 +186,7 @@ def intrusions(depths, observed, dt=1 / FPS):
         pose, position = contact.posed(MODEL, track), above(track.gap)
         problem = problem_of(None, None, dataclasses.replace(Config(), physics=CONFIG), last=last, body=pose, dt=dt)
         estimate = seen(position, observed, contact.nearest(pose, position), above(track.gap - depth))
-        track = contact.learned(problem, estimate, position)
+        track = contact.learn(problem, estimate, position)
     return contact.error2(contact.posed(MODEL, track))
 
 

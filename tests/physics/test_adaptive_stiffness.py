@@ -33,7 +33,7 @@ def after(position, frames=100, dt=0.1, measured=EVERYWHERE, start=None):
     known = initial(NUMBERS) if start is None else start
     for _ in range(frames):
         last = Track(None, None, None, known, None, None, None, None)
-        known = adaptive_stiffness.learned(problem_of(GARMENT, None, CONFIG, last=last, dt=dt), position, measured)
+        known = adaptive_stiffness.learn(problem_of(GARMENT, None, CONFIG, last=last, dt=dt), position, measured)
     return known
 
 

@@ -152,7 +152,7 @@ def test_little_that_is_seen_teaches_no_size():
     height, last = TUBE.vertices[:, 1], SimpleNamespace(size=np.zeros((3, 3)), health=Health(state="tracking"))
     problem = problem_of(GARMENT, None, Config(), last=last, body=object())
     seen = [height > np.quantile(height, q) for q in (0.5, 0.9)]
-    sizes = [size.learned(problem, estimate_of(None, learnable), 1.05 * TUBE.vertices, 1.0) for learnable in seen]
+    sizes = [size.learn(problem, estimate_of(None, learnable), 1.05 * TUBE.vertices, 1.0) for learnable in seen]
     assert [learned.any() for learned in sizes] == [True, False]
 
 
@@ -223,12 +223,12 @@ def test_a_shape_at_rest_is_made_anew_only_where_its_size_has_changed():
     tracker = Tracker(TUBE)
     tracker.reset(vertices=TUBE.vertices)
     shape, setup = tracker._track.resting, tracker._setup
-    assert rigidity.resized(shape, shape.size + 0.5 * rigidity.NOTICED * np.eye(3), setup) is shape
-    larger = rigidity.resized(shape, shape.size + 0.05 * np.eye(3), setup)
+    assert rigidity.resize(shape, shape.size + 0.5 * rigidity.NOTICED * np.eye(3), setup) is shape
+    larger = rigidity.resize(shape, shape.size + 0.05 * np.eye(3), setup)
     np.testing.assert_allclose(larger.length, np.exp(0.05) * shape.length, rtol=1e-5)
     np.testing.assert_allclose(larger.edge, np.exp(0.05) * shape.edge, atol=1e-4)
-    assert rigidity.resized(None, np.zeros((3, 3)), setup) is None
-    assert not rigidity.resized(None, 0.05 * np.eye(3), setup).given
+    assert rigidity.resize(None, np.zeros((3, 3)), setup) is None
+    assert not rigidity.resize(None, 0.05 * np.eye(3), setup).given
 
 
 @pytest.mark.parametrize("growth", [-0.05, 0.015, 0.05])
@@ -285,7 +285,7 @@ def test_a_lighter_tracker_goes_on_with_the_size_and_its_shape():
     found = lighter.step(cloud.points, timestamp=31 / FPS).vertices
     assert rms(found - SAMPLE.garment_vertices[31]) < 1.5 * errors[-5:].mean()
     grown = lighter._track.size + 0.05 * np.eye(3)
-    lighter._track = lighter._track._replace(size=grown, resting=rigidity.resized(lighter._track.resting, grown, lighter._setup))
+    lighter._track = lighter._track._replace(size=grown, resting=rigidity.resize(lighter._track.resting, grown, lighter._setup))
     tracker.continue_from(lighter)
     assert tracker._track.resting.source is None  # the shape of the start itself, and none that was carried over
     np.testing.assert_array_equal(tracker._track.size, grown)

@@ -14,7 +14,7 @@ TYPICAL = costs.typical(MODEL)
 def test_a_steady_cost_is_learned():
     learned = TYPICAL
     for _ in range(60):
-        learned = costs.learned(learned, {"first": 0.004}, MODEL)
+        learned = costs.learn(learned, {"first": 0.004}, MODEL)
     assert learned.first.mean == pytest.approx(0.004)
     assert costs.bound(learned.first) == pytest.approx(0.004, rel=0.01)
 
@@ -24,14 +24,14 @@ def test_an_unsteady_cost_is_rarely_above_its_bound():
     for _ in range(2000):
         seconds = 0.004 * rng.gamma(40.0) / 40.0  # 16 % of spread
         above += seconds > costs.bound(learned.first)
-        learned = costs.learned(learned, {"first": seconds}, MODEL)
+        learned = costs.learn(learned, {"first": seconds}, MODEL)
     assert above / 2000 < 0.1
 
 
 @pytest.mark.parametrize("speed", [0.25, 4.0])
 def test_what_was_never_measured_is_as_slow_as_the_rest(speed):
     measured = {name: speed * getattr(TYPICAL, name).mean for name in costs.SPEED}
-    learned = costs.learned(TYPICAL, measured, MODEL)
+    learned = costs.learn(TYPICAL, measured, MODEL)
     for name in ("search", "clusters", "later"):
         assert getattr(learned, name).mean == pytest.approx(speed * getattr(TYPICAL, name).mean)
         assert not getattr(learned, name).known
@@ -39,8 +39,8 @@ def test_what_was_never_measured_is_as_slow_as_the_rest(speed):
 
 def test_what_was_never_measured_follows_the_processor_and_no_single_part():
     measured = {name: 2 * getattr(TYPICAL, name).mean for name in costs.SPEED}
-    learned = costs.learned(TYPICAL, measured | {"probe": 0.0}, MODEL)
+    learned = costs.learn(TYPICAL, measured | {"probe": 0.0}, MODEL)
     assert learned.search.mean == pytest.approx(2 * TYPICAL.search.mean)
     for _ in range(60):
-        learned = costs.learned(learned, {name: 2 * seconds for name, seconds in measured.items()}, MODEL)
+        learned = costs.learn(learned, {name: 2 * seconds for name, seconds in measured.items()}, MODEL)
     assert learned.search.mean == pytest.approx(4 * TYPICAL.search.mean, rel=0.01)

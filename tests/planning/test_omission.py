@@ -15,9 +15,9 @@ NOTHING = Work()
 class Finished:
     """A problem and an estimate, as far as the omission reads them."""
 
-    def __init__(self, points=1.0, work=NOTHING, passes=8, settled=True, empty=False, dt=1 / 30):
+    def __init__(self, points=1.0, work=NOTHING, passes=8, finished=True, empty=False, dt=1 / 30):
         self.config, self.effort, self.work = Config(), Effort(planned=True, points=points), work
-        self.passes, self.settled, self.cloud = passes, settled, self
+        self.passes, self.finished, self.cloud = passes, finished, self
         self.empty, self.dt = empty, dt
 
 
@@ -27,10 +27,10 @@ class Finished:
         (Finished(), {}),
         (Finished(points=0.25), {"points": 2}),
         (Finished(work=Work(clusters=1, unaligned=True)), {"clusters": 1}),
-        (Finished(passes=3, settled=False), {"passes": 1}),
-        (Finished(passes=8, settled=False), {}),
-        (Finished(passes=8, settled=False, dt=0.1), {"passes": 1}),
-        (Finished(passes=1, settled=False, empty=True), {}),
+        (Finished(passes=3, finished=False), {"passes": 1}),
+        (Finished(passes=8, finished=False), {}),
+        (Finished(passes=8, finished=False, dt=0.1), {"passes": 1}),
+        (Finished(passes=1, finished=False, empty=True), {}),
     ],
 )
 def test_each_part_grows_the_error_by_its_own_factor(finished, growths):

@@ -102,17 +102,17 @@ def test_without_a_budget_the_speed_of_the_machine_does_not_show(processor):
 
 
 @pytest.mark.parametrize(
-    ("stage", "effort"),
+    ("decision", "effort"),
     [
-        ("points", Effort(points=0.25)),
-        ("clusters", Effort(passes=0)),
-        ("passes", Effort(passes=1)),
+        ("limit_points", Effort(points=0.25)),
+        ("limit_alignment", Effort(passes=0)),
+        ("limit_passes", Effort(passes=1)),
     ],
 )
-def test_what_is_left_out_widens_sigma_and_lowers_the_reliability(monkeypatch, stage, effort):
+def test_what_is_left_out_widens_sigma_and_lowers_the_reliability(monkeypatch, decision, effort):
     """Of a frame of the same estimate: the growths alone differ."""
-    monkeypatch.setattr(plan, "points", lambda clock, problem: problem._replace(effort=Effort(planned=True)))
-    monkeypatch.setattr(plan, stage, lambda clock, problem: problem._replace(effort=effort._replace(planned=True)))
+    monkeypatch.setattr(plan, "limit_points", lambda clock, problem: problem._replace(effort=Effort(planned=True)))
+    monkeypatch.setattr(plan, decision, lambda clock, problem: problem._replace(effort=effort._replace(planned=True)))
     results = []
     for growth in (0.0, 0.4):
         names = ("points", "clusters", "passes")

@@ -5,7 +5,7 @@ import pytest
 
 from ddakf import Tracker
 from ddakf.errors import InvalidFrame
-from ddakf.plausibility.admission import admitted
+from ddakf.plausibility import admission
 from ddakf.types import FrameInput
 from tests.tracker_runs import EYE, TUBE, cloud
 
@@ -13,7 +13,7 @@ TRACKER = Tracker(TUBE)
 
 
 def admit(points, origin=None, timestamp=0.1):
-    return admitted(TRACKER._setup, TRACKER._track, FrameInput(points, timestamp, origin, None))
+    return admission.admit(TRACKER._setup, TRACKER._track, FrameInput(points, timestamp, origin, None))
 
 
 def test_a_given_origin_and_a_cloud_of_all_sides_stay_as_they_are():

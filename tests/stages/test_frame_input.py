@@ -16,7 +16,7 @@ MANY = np.random.default_rng(0).normal(size=(65, 3))
 
 
 def checked(points=CLOUD, timestamp=1.0, sensor_origin=None, body_vertices=None, last=0.5, body=BODY):
-    return frame_input.checked(FrameInput(points, timestamp, sensor_origin, body_vertices), last, body)
+    return frame_input.check(FrameInput(points, timestamp, sensor_origin, body_vertices), last, body)
 
 
 def spoilt(value, shape=(50, 3)):

@@ -376,7 +376,7 @@ def test_decoupled_update_is_a_kalman_filter_per_vertex_and_the_gradient_pseudo_
         np.testing.assert_allclose(update.position[i], x[:3], rtol=0, atol=2e-6)
         np.testing.assert_allclose(update.state.velocity[i], x[3:], rtol=1e-9)
         np.testing.assert_allclose(full(update.state)[i], P, rtol=1e-7, atol=1e-12)
-    assert update.settled
+    assert update.finished
 
 
 def test_decoupled_update_without_measurements_keeps_the_covariance():

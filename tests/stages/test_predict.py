@@ -11,7 +11,7 @@ from ddakf.config import Config, ConstantAcceleration, ConstantVelocity
 from ddakf.data.rotation import rotation_matrices
 from ddakf.kernels import predict as kernels
 from ddakf.stages.fuse import condition
-from ddakf.stages.predict import learned, predict
+from ddakf.stages.predict import learn_acceleration, predict
 from tests.stages.scenes import assert_positive_definite, full, problem_of, random_state
 
 PLAIN = ConstantVelocity(damping=0.0)
@@ -25,7 +25,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 def learn(posterior, prior, measured, dt, config):
     """The acceleration after a frame with this prediction."""
-    return learned(problem_of(None, prior, dataclasses.replace(Config(), predict=config), dt=dt), posterior, measured)
+    return learn_acceleration(problem_of(None, prior, dataclasses.replace(Config(), predict=config), dt=dt), posterior, measured)
 
 
 def start(seed=0, n=7):
