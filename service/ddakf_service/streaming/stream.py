@@ -19,6 +19,7 @@ from ..sessions.limits.penalties import Penalties
 from ..sessions.recovery.durability import Durability, Irrecoverable
 from ..sessions.responses.response import Response
 from ..sessions.session import Session
+from ..settings import Settings
 from ..workers.pool import WorkerPool, worker_lost
 from .frame_bounds import require_frame_within_bounds
 from .frame_message import FrameMessage, TrackRequest
@@ -41,9 +42,6 @@ class Stream:
     A transport calls :meth:`receive` for each request and :meth:`finish` after the last one. :meth:`deliver` sends the
     responses. The transport calls :meth:`close` at the end, whichever side ended the stream.
 
-    Args:
-        reader_timeout: the stream ends when the client reads nothing for so many seconds.
-
     Attributes:
         key_id: id of the key that opened the stream; empty: no key.
         ending: set when no more frames will be tracked; one frame may still be in the worker.
@@ -55,21 +53,19 @@ class Stream:
         session: Session,
         start: pb.Start,
         mode: pb.FlowMode,
+        settings: Settings,
         pool: WorkerPool,
         durability: Durability,
         penalties: Penalties,
         recorder: FrameRecorder,
         rate_limit: RateLimit,
-        reader_timeout: float,
-        max_image_pixels: int,
-        max_body_vertices: int,
     ):
         self.session, self.key_id = session, current_principal.get().id
-        self._pool, self._durability, self._penalties, self._recorder = pool, durability, penalties, recorder
+        self._settings, self._pool, self._recorder = settings, pool, recorder
+        self._durability, self._penalties = durability, penalties
         self._options = start.result_options.SerializeToString()
         self._every_nth = max(start.result_options.every_nth, 1)
-        self._mode, self._reader_timeout = mode, reader_timeout
-        self._max_image_pixels, self._max_body_vertices = max_image_pixels, max_body_vertices
+        self._mode = mode
         self._most_in_flight = session.limits.max_frames_in_flight
         self._mailbox = mailbox_for(mode, self._most_in_flight)
         self._outbox = Outbox(session.watchers.publish)
@@ -124,8 +120,8 @@ class Stream:
         """Rejects a frame that is invalid at a glance."""
         if frame.sequence_number >= _SEQUENCE_NUMBERS:  # such a number would leave none to the frames that follow
             raise InvalidFrame(field="sequence_number", expected="less than 2^63", got=str(frame.sequence_number))
-        max_points = self.session.limits.max_points
-        require_frame_within_bounds(frame, max_points, self._max_image_pixels, self._max_body_vertices)
+        max_points, settings = self.session.limits.max_points, self._settings
+        require_frame_within_bounds(frame, max_points, settings.max_image_pixels, settings.max_body_vertices)
         if not 0 <= frame.deadline < math.inf:
             raise InvalidFrame(field="deadline", expected="seconds from its arrival, or 0", got=f"{frame.deadline:g}")
 
@@ -215,10 +211,10 @@ class Stream:
         """
         async for response in self.responses():
             try:
-                async with asyncio.timeout(self._reader_timeout):
+                async with asyncio.timeout(self._settings.reader_timeout):
                     await send(response)
             except TimeoutError:
-                error = DeadlineExceeded(f"the client has not read its responses for {self._reader_timeout:g} s")
+                error = DeadlineExceeded(f"the client has not read its responses for {self._settings.reader_timeout:g} s")
                 log.warning("a stream ends: %s", error, extra={"session": self.session.id})
                 self.end(error)
                 try:

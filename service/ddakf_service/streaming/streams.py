@@ -70,8 +70,7 @@ class Streams:
         self._require_room()
         session.departure_time = None
         collaborators = self._pool, self._durability, self._penalties, self._recorder, self._rate_limit()
-        bounds = self._settings.reader_timeout, self._settings.max_image_pixels, self._settings.max_body_vertices
-        return Stream(session, start, mode, *collaborators, *bounds)
+        return Stream(session, start, mode, self._settings, *collaborators)
 
     def _rate_limit(self) -> RateLimit:
         """The frame rates of a new stream of the caller."""
