@@ -33,7 +33,9 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # metres
 def register(commands: argparse._SubParsersAction) -> None:
     """Adds the command to the parser."""
     parser = commands.add_parser("track", help="track a garment through a sequence or recording", epilog=EPILOG)
-    parser.add_argument("path", metavar="SEQ.npz|DEPTH.mat|FOLDER[#PART]")
+    parser.add_argument(
+        "path", metavar="NAME|SEQ.npz|DEPTH.mat|FOLDER[#PART]", help="sample, another name that ddakf evaluate takes, or a path"
+    )
     parser.add_argument("--frames", default=":", metavar="A:B", help="frames that are tracked: from A up to B - 1")
     parser.add_argument("--seed", type=int, default=1, help="seed of the sensor's random numbers (default 1)")
 
@@ -256,16 +258,25 @@ def _require_formats(picture: str | None) -> None:
         raise InvalidArgument("picture", f"a name that ends in .png or another of {len(known)} formats", suffix or picture)
 
 
+def _recording(path: str, fps: float):
+    """What is at a path, or the recording of a name."""
+    from ddakf.evaluation.datasets import open_dataset
+    from ddakf.evaluation.trials.recordings import find_recording
+
+    place = Path(path.partition("#")[0])
+    is_name = not place.exists() and len(place.parts) == 1 and not place.suffix
+    return find_recording(path) if is_name else open_dataset(path, fps=fps)
+
+
 def _source(arguments: argparse.Namespace):
     if arguments.seed < 0:
         raise InvalidArgument("seed", "a number from 0", str(arguments.seed))
-    from ddakf.evaluation.datasets import open_dataset
     from ddakf.evaluation.datasets.captures.cloud_folder import FolderRecording
     from ddakf.evaluation.tracking.sources import source_of
     from ddakf.files.sequence import Sequence
     from ddakf.plausibility.units import LARGEST
 
-    recording = open_dataset(arguments.path, fps=FPS if arguments.fps is None else arguments.fps)
+    recording = _recording(arguments.path, FPS if arguments.fps is None else arguments.fps)
     if isinstance(recording, Sequence) and arguments.fps is not None:
         raise InvalidArgument("fps", "none for a sequence, which has its own", f"{arguments.fps:g}")
     if arguments.fps is not None and (recording.times is not None or recording.fps != arguments.fps):

@@ -106,6 +106,12 @@ def test_a_sequence_is_tracked_and_judged(capsys, view):
     assert 0 < summary["ms_p50"] <= summary["ms_p99"]
 
 
+def test_a_name_is_that_of_a_recording_as_of_an_evaluation(capsys):
+    by_name, by_path = (_summary(capsys, recording, *SHORT) for recording in ("sample", SAMPLE))
+    assert by_name["rmse_mm"] == by_path["rmse_mm"]
+
+
+
 def test_runs_with_the_same_seed_are_the_same(capsys):
     first, again, other = (_summary(capsys, SAMPLE, *SHORT, "--seed", seed)["rmse_mm"] for seed in (1, 1, 2))
     assert first == again != other
@@ -331,6 +337,7 @@ def test_a_folder_has_the_origin_of_its_files_or_of_the_command_line(capsys, tmp
     ("arguments", "names"),
     [
         (["none.npz"], "nothing there"),
+        (["sampel"], "did you mean"),
         ([SAMPLE, "--sensor-origin", "0", "0", "2"], "sensor_origin"),
         ([SAMPLE, "--unit", "mm"], "unit: expected a folder of clouds"),
         ([SAMPLE, "--frames", "9:9"], "frames"),
