@@ -86,6 +86,7 @@ def test_up_is_where_the_configuration_says(up):
         assert floor.linearize(frame(body, low, position), position) is None
 
 
+@pytest.mark.slow
 def test_the_hidden_side_of_who_lies_down_stays_on_the_floor():
     sequence, camera, lowest = collection.load("dress_lie_loose_51"), Sensor("ring4"), {}
     for below in (Config().physics.floor_below, 10.0):  # with the floor, and without

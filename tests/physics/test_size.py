@@ -133,7 +133,7 @@ def test_a_garment_of_its_templates_size_keeps_it():
     assert np.abs(tracker._track.size).max() < 0.005
 
 
-@pytest.mark.parametrize("scale", [0.93, 1.07])
+@pytest.mark.parametrize("scale", every(2, [0.93, 1.07]))
 def test_one_side_of_a_garment_on_a_body_tells_its_size_in_the_mean_of_all_directions(scale):
     tracker, errors = worn(scale, view="front", body=True)
     learned = np.diag(tracker._track.size) / -np.log(scale)

@@ -66,6 +66,7 @@ def test_sensors_that_are_right_are_left_where_they_are():
     assert not [warning for result in results for warning in result.warnings]
 
 
+@pytest.mark.slow
 def test_a_garment_between_misplaced_cameras_is_found_and_they_are_told():
     corrected, given = list(captured(0.008)), list(captured(0.008, config=GIVEN))
     late = slice(10, None)

@@ -18,6 +18,7 @@ from ddakf.search import relocalize
 from ddakf.search.relocalize import LONGEST_WAIT, MOST_ROUNDS, Fit, _cost_of_staying, interrupted, locate, search_due
 from ddakf.stages.predict import predict
 from ddakf.types import Drift, Health, State, Track
+from tests.lanes import every
 from tests.search.test_candidate_poses import flat_tube
 from tests.stages.scenes import FPS, frame_of, problem_of, random_state, rms, scan, tube, turn
 
@@ -45,7 +46,7 @@ def captured(view, vertices, seed):
 
 
 @pytest.mark.parametrize("view", ["full", "front"])
-@pytest.mark.parametrize("degrees", [30, -30])
+@pytest.mark.parametrize("degrees", every(2, [30, -30]))
 @pytest.mark.parametrize("direction", [[0.3, 0.0, 0.0], [-0.15, 0.1, 0.24]])
 def test_a_garment_moved_by_30_cm_and_turned_by_30_degrees_is_found(view, degrees, direction):
     start = SAMPLE.garment_vertices[0].astype(float)

@@ -107,6 +107,7 @@ def test_a_loose_fit_takes_more_cloth_than_a_close_one(body, name):
     assert area("loose") > 1.1 * area("close")
 
 
+@pytest.mark.slow
 def test_sleeves_and_legs_end_where_they_should(body):
     shirt, trousers, shorts = (garments.make(name, body, WANTED).mesh.vertices for name in ("long-shirt", "trousers", "shorts"))
     elbow, wrist = (abs(body.head(f"{joint}_l")[0]) for joint in ("lowerarm", "hand"))

@@ -13,6 +13,7 @@ from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.tracking import axes
 from ddakf.evaluation.tracking.sources import source_of
 from ddakf.files import io
+from tests.lanes import every
 
 CONFIG = Config()
 COUNT = 6
@@ -29,7 +30,7 @@ def clouds(folder, rotation, view):
     return source_of(open_dataset(folder), template=folder.with_suffix(".ply"))
 
 
-@pytest.mark.parametrize(("up", "turned"), [("z", "x, -z, y"), ("-y", "x, -y, -z"), ("x", "y, -x, z")])
+@pytest.mark.parametrize(("up", "turned"), every(3, [("z", "x, -z, y"), ("-y", "x, -y, -z"), ("x", "y, -x, z")]))
 def test_a_template_with_another_axis_up_is_told_its_turn(tmp_path, up, turned):
     """Such clouds were recovering at a reliability of 0, without a word of the cause."""
     said = axes.fitting_turn(clouds(tmp_path / "clouds", axes.turn("y", up), "full"), CONFIG)
@@ -37,6 +38,7 @@ def test_a_template_with_another_axis_up_is_told_its_turn(tmp_path, up, turned):
     assert json.loads(re.search(r"--config '(.*)'$", said)[1]) == {"start": {"up": up}}
 
 
+@pytest.mark.slow
 def test_one_of_the_points_axes_is_not(tmp_path):
     assert axes.fitting_turn(clouds(tmp_path / "clouds", np.eye(3), "full"), CONFIG) == ""
 

@@ -31,6 +31,7 @@ from ddakf_service.workers.messages import wire
 from ddakf_service.workers.pool import Limits, Memory
 
 from ddakf import Tracker
+from tests.lanes import every
 
 from ..conftest import frame_of, is_running, make_sheet, workers
 
@@ -41,7 +42,7 @@ def local(size=2, limits=LIMITS, **options) -> LocalPool:
     return LocalPool(size, limits, **{"frame_timeout": 20.0, "warm_timeout": 300.0, **options})
 
 
-@pytest.fixture(params=["local", "ray"], scope="module")
+@pytest.fixture(params=every(2, ["local", "ray"]), scope="module")
 def implementation(request) -> Callable[..., LocalPool]:
     """Makes a pool with processes of this machine, or with actors of a Ray cluster."""
     if request.param == "local":
