@@ -79,6 +79,7 @@ def test_a_mask_that_is_too_narrow_leaves_the_rims_out_and_one_too_wide_has_skin
     assert (distance(wide, right) > 0.015).mean() > 0.03
 
 
+@pytest.mark.slow
 def test_a_run_has_a_row_for_every_place_and_its_table_a_line():
     rows = [row for body in (False, True) for row in camera_places.run((RECORDINGS[-1], body, 2))]
     assert [row["place"] for row in rows] == [*PLACES, *PLACES]

@@ -114,6 +114,7 @@ def test_a_snapshot_goes_on_to_the_bit():
     assert all(np.array_equal(*pair) for pair in zip(tracker._track.appearance, other._track.appearance, strict=True))
 
 
+@pytest.mark.slow
 def test_colours_without_noise_stay_measurements_with_some():
     """As those of a grey camera, of which each channel is the same."""
     tracker, grey = ddakf.Tracker(SHEET), None

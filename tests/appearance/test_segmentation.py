@@ -121,6 +121,7 @@ def test_a_doubtful_frame_teaches_nothing():
     assert tracker._track.palette is None
 
 
+@pytest.mark.slow
 def test_what_was_learned_fades():
     tracker = ddakf.Tracker(SHEET)
     for k, cloth in enumerate([CLOTH] + 150 * [(120, 40, 40)]):

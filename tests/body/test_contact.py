@@ -239,6 +239,7 @@ def test_contact_yields_by_the_error_of_the_body():
     np.testing.assert_allclose(1 / soft, 1 / firm + variance)
 
 
+@pytest.mark.slow
 def test_a_body_that_is_misplaced_costs_cloth_that_is_seen_little():
     """By 20 mm in the mean, to and fro, where contact firmer than the measurement would push the cloth along."""
 

@@ -42,6 +42,7 @@ def test_two_missing_poses_move_it_as_far_as_one_that_is_as_late():
     assert tracker._track.body.unposed == 0.0
 
 
+@pytest.mark.slow
 def test_a_missing_pose_costs_hidden_cloth_nothing():
     """Seen from one camera, one pose in seven missing: neither its error nor what is claimed of it grows."""
     errors = []

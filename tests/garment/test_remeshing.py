@@ -109,6 +109,7 @@ def test_however_long_the_edges_a_tube_stays_one():
     assert pieces_openings_handles(even) == pieces_openings_handles(tube())
 
 
+@pytest.mark.slow
 def test_needles_are_refused_before_they_take_memory():
     needle = Mesh(np.array([[0, 0, 0], [5000, 0, 0], [0, 1e-3, 0]]), np.array([[0, 1, 2]]))
     assert subdivided(needle, 0.001) is None

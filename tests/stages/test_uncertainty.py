@@ -532,6 +532,7 @@ def test_folds_show_that_a_skirt_turns_and_not_how_far(legs):
     assert result.reliability > (0.9 if legs else 0.5)
 
 
+@pytest.mark.slow
 def test_a_garment_in_view_is_as_certain_after_many_seconds_as_after_a_few():
     """Also its hidden half: nothing shows that it strays."""
     tracker, sizes = Tracker(FOLDED), []

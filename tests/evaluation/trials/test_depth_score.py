@@ -80,6 +80,7 @@ def test_a_run_has_the_scores_of_its_frames_and_the_drift_of_its_return(recordin
     assert set(made[0].seen) == {54 * 40}  # 6 of 60 columns are held out
 
 
+@pytest.mark.slow
 def test_each_recording_gets_a_sheet_and_an_animation(tmp_path):
     """Of a wall that comes nearer: the surface covers it, grey and orange are its rim."""
     folder = tmp_path / "depth/utd-mhad"

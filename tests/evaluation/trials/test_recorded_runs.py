@@ -137,6 +137,7 @@ def test_the_end_point_error_of_a_pair_is_of_the_last_of_its_steps():
     assert (still["end_point_error_mm"], still["within_5cm"]) == (pytest.approx(500), 0)
 
 
+@pytest.mark.slow
 @pytest.mark.recordings
 def test_the_frames_of_a_study_are_those_of_recordings_too(monkeypatch):
     monkeypatch.setattr(paper_studies, "depth_recording_names", lambda: (["a.mat", "b.mat"], []))

@@ -259,6 +259,7 @@ async def test_an_upload_that_finds_no_database_leaves_no_content(small_store, s
     assert list(folder.rglob("*.mesh")) == []
 
 
+@pytest.mark.slow
 def test_meshes_outlive_the_server(tmp_path, sheet):
     arguments = ["--workers", "1", "--spare-workers", "0", "--data-dir", str(tmp_path / "data")]
     with running(arguments, tmp_path) as service, connect(service.grpc, timeout=TIMEOUT) as client:

@@ -47,6 +47,7 @@ def threads(pid: int) -> int:
     return len(list(Path(f"/proc/{pid}/task").iterdir()))
 
 
+@pytest.mark.slow
 @ONLY_ON_LINUX
 async def test_a_fork_of_one_thread_is_a_child_of_this_process_and_outlives_its_fork_server(source, sheet):
     worker = await Worker.start(source, 300, steps)

@@ -156,6 +156,7 @@ def test_old_rows_that_cannot_be_deleted_are_no_fault_of_the_database(opened, ur
     assert database.condition.problem == ""
 
 
+@pytest.mark.slow
 def test_the_log_of_sqlite_stays_small_while_many_rows_go(tmp_path, opened):
     """Rows are often deleted because the disk is full: in one transaction the log would be as large as the table."""
     path = tmp_path / "test.sqlite"
