@@ -14,6 +14,7 @@ import pytest
 from ddakf_api.errors import SessionNotFound
 
 from ddakf.commands import cli
+from ddakf.commands.remote.sessions import _text
 
 from .conftest import TIMEOUT, eventually, frame_of, request_of
 
@@ -152,3 +153,8 @@ def test_a_file_that_is_no_recording_is_refused(sessions, tmp_path):
     assert "expected a recording, got" in sessions("replay", str(tmp_path / "none.mcap"), status=2)
     (tmp_path / "text.mcap").write_text("some text that is no recording")
     assert "expected an MCAP file" in sessions("replay", str(tmp_path / "text.mcap"), status=2)
+
+
+def test_numbers_are_short_and_clocks_keep_their_milliseconds():
+    values = {"rate": 29.97002997002997, "last_timestamp": 1796123456.25, "frames": 1234567, "key": None}
+    assert _text(values) == "frames=1234567 key= last_timestamp=1796123456.250 rate=29.97"

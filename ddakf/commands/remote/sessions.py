@@ -20,6 +20,7 @@ from ddakf.errors import InvalidArgument
 _WATCHING = "; a line per result of `watch`"
 _NO_ARRAYS = 2**32 - 1  # only every n-th result has arrays
 _PROGRESS_INTERVAL = 1.0  # seconds between two lines of a watcher
+_CLOCK = 1e5  # seconds from which on a number is taken for a clock's
 _SHOWN_SAMPLES = 40  # of a history, unless told otherwise
 
 
@@ -90,12 +91,14 @@ def _get(client, arguments: argparse.Namespace) -> None:
 
 
 def _text(value) -> str:
-    """A field's value for people: pairs as KEY=VALUE in the order of their keys, numbers of six digits."""
+    """A field's value for people: KEY=VALUE in the order of the keys, numbers of six digits, clocks to a millisecond."""
     if isinstance(value, dict):
         return " ".join(f"{key}={_text(each)}" for key, each in sorted(value.items()))
     if isinstance(value, (list, tuple)):
         return "; ".join(_text(each) for each in value)
-    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.6g}" if abs(value) < _CLOCK else f"{value:.3f}"
+    return "" if value is None else str(value)
 
 
 def _watch(client, arguments: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""What a realtime client is told that sends more than is tracked: whether a limit holds it back, or the workers' time."""
+"""Notices to a realtime client that sends more than is tracked: a limit holds it back, or the workers' time."""
 
 from __future__ import annotations
 
