@@ -47,7 +47,7 @@ LARGEST_VARIANCE = 1e4  # m^2, m^2/s^2
 MOST_INFORMATION = 1e15  # 1/m^2, or 1/m, of the sensors' places
 MOST = 1 << 31  # of a count
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 27
+VERSION = 28
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none, and errors do not
 # fade in it; 12 has a law of the vertices' errors, and 13 another law of the frame's, which are not read; 14 has other laws
 # of the error's size, which are not read, and lacks the offset of hidden cloth; 15 has learned how far cloth slips on the
@@ -56,7 +56,8 @@ VERSION = 27
 # none for the rigidity of coarse meshes, which is the default's; 20 lacks two of colours; 21 has other laws of the error's
 # size and of the frame's error, and 22 of the size, which are not read; 23 has no palette; 24 has two more slacks of the
 # size; 25 lacks the gap between rim and cloud, which begins at 0; 26 lacks the time of which the body's velocities are a
-# mean, as well.
+# mean, as well; 27 has another law of the turns that nothing
+# shows, which is not read, and lacks their speed.
 READ = range(11, VERSION + 1)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 DROPPED = {
@@ -68,6 +69,7 @@ DROPPED = {
         *(("predict", f"anchor_{name}") for name in ("first_share", "slippage", "slippage_power")),
     ),
     25: (("physics", "size_slack_one_side"), ("physics", "size_pull")),
+    28: (("uncertainty", "missed_turn"),),
 }  # parts and fields of configurations before a version, which are not read
 MOVED = {  # part and field of the configuration before 19, and since
     ("predict", "worn_memory"): ("anchor", "memory"),
@@ -128,7 +130,8 @@ def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
         arrays |= {f"sensors_{name}": getattr(track.sensors, name) for name in FOUND}
     numbers = {"config": tracker.config.to_dict(), "health": track.health._asdict(), "time": track.time}
     drift = track.drift
-    numbers["drift"], arrays["drift_missed"] = [drift.speed2, drift.stored2, drift.hem2, drift.unseen_turn], drift.missed
+    numbers["drift"] = [drift.speed2, drift.stored2, drift.hem2, drift.unseen_turn, drift.turning]
+    arrays["drift_missed"] = drift.missed
     numbers["elasticity"] = track.strain2
     numbers["view"], numbers["signs"] = track.view._asdict(), dict(track.signs)
     numbers["sensors"] = None if track.sensors is None else [track.sensors.time, track.sensors.wait]
@@ -267,12 +270,12 @@ def _rotation(model: np.ndarray, arrays: dict[str, np.ndarray]) -> np.ndarray:
 def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
     covariance = like(model.covariance, arrays, "drift_covariance")
     _require_covariances("drift_covariance", covariance)
-    speed2, stored2, hem2, *later = (float(value) for value in values)
-    (unseen_turn,) = later or [0.0]  # not in earlier snapshots
-    if not all(0.0 <= value <= LARGEST_NUMBER for value in (speed2, stored2, hem2, unseen_turn)):
+    speed2, stored2, hem2, *later = map(float, values)
+    unseen_turn, turning = (*later, *[0.0] * (2 - len(later)))  # earlier snapshots lack one or both
+    if not all(0.0 <= value <= LARGEST_NUMBER for value in (speed2, stored2, hem2, unseen_turn, abs(turning))):
         raise InvalidSnapshot("snapshot.drift", f"numbers from 0 to {LARGEST_NUMBER:g}", repr(values))
     missed = like(model.missed, arrays, "drift_missed") if "drift_missed" in arrays else model.missed  # not in earlier snapshots
-    return Drift(covariance, speed2, stored2, hem2, unseen_turn, missed)
+    return Drift(covariance, speed2, stored2, hem2, unseen_turn, turning, missed)
 
 
 def _resting(tracker, arrays: dict[str, np.ndarray]) -> Resting | None:

@@ -253,6 +253,7 @@ class Drift(NamedTuple):
     stored2: float  # m^2, mean variance of the stored blocks; without a body the error of an unseen garment grows as it does
     hem2: float = 0.0  # m^2, mean squared distance of hems from where the cloud ends, when hems were last seen
     unseen_turn: float = 0.0  # rad by which the garment may have turned about its axis without being seen to
+    turning: float = 0.0  # rad/s, running mean of the estimate's turns about that axis
     missed: np.ndarray = np.zeros((3, 3))  # m^2/s^2, running mean of d d' / dt^2, d the prediction's error with the body's part
 
     @classmethod

@@ -241,7 +241,8 @@ class Uncertainty(Checked):
     turn_rate: float = bounded(30.0, 0, 1e4)  # degrees/s by which a wearer may turn in a garment that does not show it
     turn_share: float = bounded(0.08, 1e-6, 1)  # share of a turn's motion along the normals, from which on it is seen
     smooth_folds: float = bounded(0.001, 1e-6, 1)  # m, height of folds from which on they show a turn
-    missed_turn: float = bounded(0.1, 0, 1)  # share of the turns of a skirt or cape that folds do not show
+    turn_lag: float = bounded(0.15, 1e-3, 10)  # s by which a skirt that is seen all around may be behind its wearer's turn
+    turn_spread: float = bounded(0.25, 0, 10)  # share of such a turn by which vertices are off in every direction as well
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2
     ceiling_speed_sd: float = bounded(10.0, 1e-3, 1e4)  # m/s: trace(P_uu) is at most 3 ceiling_speed_sd^2

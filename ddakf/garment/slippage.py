@@ -46,7 +46,7 @@ class Turn(NamedTuple):
     """The rotation of a surface that moves it least along its normals."""
 
     share: float  # in [0, 1], of the squared motion that is along the normals, or across boundaries: 0 is seen by no cloud
-    moved: np.ndarray  # (V, 3) m per radian
+    moved: np.ndarray  # (V, 3) m per radian; the axis points toward the greater coordinate
 
 
 def least_seen_turn(vertices: np.ndarray, normal: np.ndarray, faces: np.ndarray, boundary: np.ndarray) -> Turn:
@@ -66,6 +66,7 @@ def least_seen_turn(vertices: np.ndarray, normal: np.ndarray, faces: np.ndarray,
     along, crossed = turn.T @ (weight[:, None] * turn), shift.T @ (weight[:, None] * turn)
     follow = np.linalg.solve(shift.T @ (weight[:, None] * shift) + TINY * np.eye(3), crossed)  # the shift that hides a turn best
     axis = np.linalg.eigh(along - crossed.T @ follow)[1][:, 0]
+    axis *= np.sign(axis[np.argmax(np.abs(axis))])  # so that frames turn in the same sense
     moved = np.cross(axis, vertices - middle) - follow @ axis
     total = max(float(np.square(moved).sum(axis=1).mean()), TINY)
     across = np.cross(vertices[boundary[:, 2]] - vertices[boundary[:, 1]], normal[boundary[:, 0]])

@@ -34,6 +34,7 @@ from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
 LEAST_TURNED = 16  # least number of seen vertices that show a rigid motion
 TINY = 1e-12  # m^2/rad^2, of a point, which no turn moves
 STEADY = np.radians(5.0)  # rad/s, largest turn that noise gives the estimate of a garment at rest
+LEAST_SEEN = 0.25  # share of the garment, below which seeing less does not hide more of its turns
 MOST_TURNED = 2.0  # rad, largest turn that nothing shows: beyond it the other side would be as likely
 SHORTEST = 1.0 / 120.0  # s, shortest step of frames whose innovations are motion; of closer frames they are noise
 
@@ -108,16 +109,17 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     kernels.vertex_covariances(drift.covariance, share, slip2, 2.0 * patches.means.bend, model.patch, measured, covariance)
     found = error_size.evidence(problem, estimate, state.position, patches)
     covariance = error_size.resized(covariance, normal, error_size.sizes(problem, estimate, found))
-    turned = _unseen_turn(problem, estimate, Surface(state.position, normal), found.slip)
-    return cap(covariance, limits), drift._replace(hem2=found.hem, unseen_turn=turned)
+    angle, rate = _unseen_turn(problem, estimate, Surface(state.position, normal), found.slip)
+    return cap(covariance, limits), drift._replace(hem2=found.hem, unseen_turn=angle, turning=rate)
 
 
-def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: float) -> float:
-    """Radians by which the garment may be turned, unnoticed: since a start to which several headings were alike, or later.
+def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: float) -> tuple[float, float]:
+    """Radians by which the garment may be turned, unnoticed, and radians per second of the turns that are noticed.
 
     A smooth surface of revolution, such as a plain skirt, may turn with its wearer, and noise may turn the estimate: the cloud is
-    the same. Folds show that it turns, but not how far: they may stay where they are while cloth passes through them, so that a
-    share of every turn is missed. Legs and sleeves show a turn, and so do colours, and a body, on which the waistband stays.
+    the same. Folds show that it turns, but not how far: they may stay where they are while cloth passes through them. The faster
+    a turn and the less of the garment is seen, the farther the estimate may be behind it. Legs and sleeves show a turn, and so
+    do colours, and a body, on which the waistband stays. A start to which several headings were alike leaves an angle as well.
 
     Args:
         problem: the frame.
@@ -125,18 +127,21 @@ def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: f
         surface: the posterior.
         slip: see ``SizeEvidence``.
     """
-    model, limits, angle = problem.model, problem.config.uncertainty, problem.last.drift.unseen_turn
+    model, limits, dt, drift = problem.model, problem.config.uncertainty, problem.dt, problem.last.drift
+    angle, rate = drift.unseen_turn, drift.turning
     if estimate.clearance is not None or problem.coloured or has_limbs(model.mesh):
-        return angle
-    turn = least_seen_turn(*surface, some_faces(model.faces), model.boundary)
-    if estimate.observed.any():
-        turned = _turned_by(turn.moved, surface.position - problem.motion_start)
-        angle += limits.missed_turn * (1.0 - turn.share) * max(0.0, abs(turned) - STEADY * problem.dt)
+        return angle, 0.0
+    turn, seen = least_seen_turn(*surface, some_faces(model.faces), model.boundary), float(estimate.observed.mean())
+    if seen > 0.0:
+        now = _turned_by(turn.moved, surface.position - problem.motion_start) / max(dt, SHORTEST)
+        rate += -math.expm1(-dt / limits.turn_lag) * (now - rate)
+        lag = limits.turn_lag / max(seen, LEAST_SEEN) * (1.0 - turn.share)
+        angle = max(angle, lag * (abs(rate) - STEADY))
     if slip + error_size.BALL > 1.0 / limits.turn_share:
         folds = fold_height(*surface, (model.start, model.neighbour), model.edge_length)
         unseen = max(0.0, 1.0 - folds / limits.smooth_folds) * max(0.0, 1.0 - turn.share / limits.turn_share)
-        angle += np.radians(limits.turn_rate) * unseen * min(problem.dt, problem.config.predict.longest_step)
-    return float(min(angle, MOST_TURNED))
+        angle += np.radians(limits.turn_rate) * unseen * min(dt, problem.config.predict.longest_step)
+    return float(min(angle, MOST_TURNED)), float(rate)
 
 
 def _turned_by(moved: np.ndarray, displacement: np.ndarray) -> float:
@@ -146,12 +151,17 @@ def _turned_by(moved: np.ndarray, displacement: np.ndarray) -> float:
 
 
 def _add_turn(problem: Problem, position: np.ndarray, angle: float, covariance: np.ndarray) -> float:
-    """Adds the displacements of a turn by ``angle`` to (V, 3, 3). Returns their mean square, m^2."""
+    """Adds to (V, 3, 3) that cloth may have slid along the surface, as by a turn of ``angle``. Returns the mean trace, m^2.
+
+    The surface itself is seen, so that the turn's part along the normals is left out. Cloth that turns does not turn rigidly.
+    """
     model, normal = problem.model, np.empty_like(position)
     vertex_normals(position, model.faces, normal)
     moved = angle * least_seen_turn(position, normal, some_faces(model.faces), model.boundary).moved
-    covariance += moved[:, :, None] * moved[:, None, :]
-    return float(np.square(moved).sum(axis=1).mean())
+    beside2 = problem.config.uncertainty.turn_spread**2 * np.square(moved).sum(axis=1)
+    moved -= np.einsum("va,va->v", moved, normal)[:, None] * normal
+    covariance += moved[:, :, None] * moved[:, None, :] + beside2[:, None, None] * np.eye(3)
+    return float((np.square(moved).sum(axis=1) + 3.0 * beside2).mean())
 
 
 def _elastic(problem: Problem, estimate: Estimate) -> np.ndarray:

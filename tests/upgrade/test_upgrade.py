@@ -25,7 +25,7 @@ from .make import FRAMES, LABELS, SERVER_ID, SESSION_ID, frame
 ARCHIVES = {path.name.removesuffix(".tar.xz"): path for path in sorted(Path(__file__).parent.glob("*.tar.xz"))}
 OLDEST_TABLES, NEWEST_TABLES = "snapshot-6", "0.1.0"
 # What the session of an archive meets: None, it goes on; otherwise the refusal has these words.
-REFUSED = {"snapshot-6": ("WorkerLost", "could not be restored: snapshot.version: expected 11 to 27, got 6")}
+REFUSED = {"snapshot-6": ("WorkerLost", "could not be restored: snapshot.version: expected 11 to 28, got 6")}
 
 
 def opened(path: Path, folder: Path) -> Path:
