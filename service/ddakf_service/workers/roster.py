@@ -156,8 +156,9 @@ class Roster:
                 await self._add_worker()
                 self._starting -= 1
                 return
-            except (WorkerStartFailed, OSError) as error:
-                log.error("a worker could not be started, next attempt in %.1f s: %s", pause, error)
+            except Exception as error:  # also one that nobody expects: the pool would be short of a worker for good
+                is_known = isinstance(error, (WorkerStartFailed, OSError))
+                log.error("a worker could not be started, next attempt in %.1f s: %s", pause, error, exc_info=not is_known)
                 await asyncio.sleep(pause)
                 pause = min(2 * pause, _LONGEST_PAUSE)
 
@@ -227,6 +228,7 @@ class Roster:
         else:
             self._recycled += 1
             successor.bytes_at_start = successor.resident_bytes()
+            await worker.answered()  # a snapshot may have been asked for during the move
             worker.exit_watcher.cancel()
             await worker.end()
         self._on_change()

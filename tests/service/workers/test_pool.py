@@ -250,6 +250,26 @@ async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet
 
 
 @pytest.mark.slow
+async def test_a_worker_answers_what_it_was_asked_during_a_move_before_it_ends(sheet, monkeypatch):
+    pool, asked = local(1, spares=1, recycle_frames=1), []
+
+    async def call(worker, kind, *request):
+        if kind is wire.Kind.RESTORE:  # in the successor
+            os.kill(first, signal.SIGSTOP)
+            asked.append(asyncio.ensure_future(pool.snapshot("one")))
+            asyncio.get_running_loop().call_later(1.0, os.kill, first, signal.SIGCONT)
+        return await carry_out(worker, kind, *request)
+
+    async with running(pool):
+        await pool.open("one", creation(sheet))
+        (first,), carry_out = pool.process_ids(), pool._call
+        monkeypatch.setattr(pool, "_call", call)
+        await track(pool, "one", frame_of(sheet, 1))
+        await until(lambda: pool.health().recycled == 1)
+        assert len(await asyncio.wait_for(asked[0], 10.0)) > 0
+
+
+@pytest.mark.slow
 async def test_a_worker_whose_sessions_need_the_memory_is_recycled_once(sheet):
     """Its successor needs as much for them."""
     pool = local(1, spares=1, recycle_memory=1)
