@@ -15,8 +15,8 @@ from ddakf_api.arrays import pack_mesh
 from ddakf_api.errors import DeadlineExceeded, InvalidArgument, InvalidFrame, SessionNotFound
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame, connect, recordings
-from ddakf_client.recordings import recording
 from ddakf_client.read_ahead import read_ahead
+from ddakf_client.recordings import recording
 from mcap.reader import make_reader
 
 from ..service.conftest import TIMEOUT, make_sheet, running

@@ -44,6 +44,7 @@ class Stream:
 
     Attributes:
         key_id: id of the key that opened the stream; empty: no key.
+        busy: a frame waits for its answer.
         ending: set when no more frames will be tracked; one frame may still be in the worker.
         session_free: set after :meth:`close`, when the session accepts another stream.
     """
@@ -73,6 +74,7 @@ class Stream:
         self._rate_limit, self._overload, self._arrivals = rate_limit, Overload(), ArrivalRate()
         self._displaced = 0  # frames, by newer ones since the last frame was taken
         self._held = 0  # frames that were taken and wait for the frame rate
+        self.busy = False
         self.ending, self.session_free = asyncio.Event(), asyncio.Event()
         self._tracking_task = asyncio.create_task(self._run())
 
@@ -357,9 +359,11 @@ class Stream:
     def _waiting_notices(self) -> Iterator[None]:
         """Sends a waiting notice at intervals while a frame has no answer: the client's timeout counts silence."""
         self._schedule_waiting_notice(monotonic())
+        self.busy = True
         try:
             yield
         finally:
+            self.busy = False
             self._waiting_timer.cancel()
 
     def _schedule_waiting_notice(self, began: float) -> None:
