@@ -192,8 +192,8 @@ class Sessions:
         requested.session.config_json, requested.session.fabric = change.config_json, change.fabric
         requested.update_mask.paths.extend(sorted(paths & {"config_json", "fabric"}))
         answer = pb.Session.FromString(await self._pool.configure(session.id, requested.SerializeToString()))
-        session.record_update(requested)
         await self._durability.checkpoint_now(session)
+        session.record_update(requested)
         opened.config_json, opened.fabric = answer.config_json, answer.fabric
 
     async def reset(self, request: pb.ResetSessionRequest) -> pb.Session:
@@ -206,8 +206,8 @@ class Sessions:
 
     async def _reset(self, session: Session, request: bytes) -> None:
         await self._pool.reset(session.id, request)
-        session.record_reset(request)
         await self._durability.checkpoint_now(session)
+        session.record_reset(request)
 
     async def snapshot(self, name: str) -> pb.SessionSnapshot:
         session = await self._ownership.obtain(name)

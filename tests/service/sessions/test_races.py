@@ -344,6 +344,23 @@ async def test_a_reset_whose_client_leaves_is_recorded(server, pool, monkeypatch
     assert (session.last_reset, session.checkpoint_number) == (request.SerializeToString(), checkpoints + 1)
 
 
+@pytest.mark.parametrize("change", ["reset", "update"])
+async def test_no_reader_learns_of_a_change_that_is_lost_with_its_worker(server, streams, pool, change):
+    watcher = await streams.watch(pb.WatchSessionRequest(name="sessions/some", api_version=API_VERSION, include_frames=True))
+    session = server._catalog.readable("sessions/some")
+    pool.lost = True
+    pool.busy.set()
+    requests = {
+        "reset": lambda: server.reset(pb.ResetSessionRequest(name="sessions/some")),
+        "update": lambda: server.update(pb.UpdateSessionRequest(session=pb.Session(name="sessions/some", fabric="silk"))),
+    }
+    with pytest.raises(WorkerLost):
+        await requests[change]()
+    watcher.close(None)
+    assert [response.message.WhichOneof("message") async for response in watcher.responses()] == ["started"]
+    assert session.last_reset == b""
+
+
 async def test_an_update_that_fails_by_a_defect_counts_the_memory_of_before(server, pool, monkeypatch):
     async def configure(session_id, request):
         raise RuntimeError("no")
