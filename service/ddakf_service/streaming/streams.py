@@ -33,7 +33,7 @@ class Streams:
         self._pool, self._settings, self._admission = components.pool, components.settings, components.admission
         self._catalog, self._persistence = components.catalog, components.persistence
         self._durability, self._tracker_access = components.durability, components.tracker_access
-        self._penalties, self._ownership = components.penalties, components.ownership
+        self._penalties, self._ownership, self._tasks = components.penalties, components.ownership, components.tasks
         self._recorder = recorder
         self._watchers: set[Watcher] = set()  # also those of sessions that have ended, until they have read why
         self._key_buckets: dict[str, TokenBucket] = {}  # of frames, by key
@@ -80,7 +80,7 @@ class Streams:
     def leave(self, stream: Stream) -> asyncio.Task[None]:
         """Closes a stream in the background, so that the client learns of the end before the frame in the worker is tracked."""
         stream.discard_error()
-        return self._durability.background(self._close(stream))
+        return self._tasks.start(self._close(stream))
 
     async def _close(self, stream: Stream) -> None:
         """Returns when the worker has no frame of the stream."""

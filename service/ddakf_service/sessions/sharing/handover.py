@@ -9,6 +9,7 @@ from time import monotonic
 
 from ddakf_api.errors import ServiceError, StreamTakenOver, Unavailable
 
+from ...background_tasks import BackgroundTasks
 from ...observability.metrics import Metrics
 from ...store.tables.heartbeat import Beat
 from ...store.tables.leases import Lease, Leases
@@ -41,12 +42,13 @@ class Handover:
         catalog: SessionCatalog,
         persistence: Persistence,
         durability: Durability,
+        tasks: BackgroundTasks,
         depart: Callable[[Session, ServiceError], None],
         tenure: Tenure,
         metrics: Metrics,
     ):
         self._leases, self._catalog, self._persistence = leases, catalog, persistence
-        self._durability, self._depart, self._tenure = durability, depart, tenure
+        self._durability, self._tasks, self._depart, self._tenure = durability, tasks, depart, tenure
         self._moves = metrics.session_moves
         self._leaving: dict[str, asyncio.Task[None]] = {}  # by session id
         self._answering: set[int] = set()  # uids
@@ -69,7 +71,7 @@ class Handover:
             is_left = beat.began - self._without_session.get(lease.uid, beat.began) > _LONGEST_OPENING
             if (lease.wanted_by or is_left) and lease.uid not in self._answering:
                 self._answering.add(lease.uid)
-                self._durability.background(self._answer(lease))
+                self._tasks.start(self._answer(lease))
         self.beaten.set()
 
     async def left(self, session_id: str) -> None:
@@ -84,7 +86,7 @@ class Handover:
             reason: for the stream.
         """
         if (leaving := self._leaving.get(session.id)) is None:
-            leaving = self._leaving[session.id] = self._durability.background(self._hand_over(session, reason))
+            leaving = self._leaving[session.id] = self._tasks.start(self._hand_over(session, reason))
             leaving.add_done_callback(lambda _: self._leaving.pop(session.id))
         await asyncio.shield(leaving)
 
