@@ -48,8 +48,8 @@ class Worker:
         sessions: estimated memory by session id.
         frame_slots: held by a frame while it is in the pipe or on the light lane of the worker.
         heavy_slots: held by a frame while it is in the pipe or on the heavy lane.
-        placement_lock: held while a model is built, by the placement of a session or its configuration, so that no call's time
-            runs while it waits for another.
+        building_lock: held while a session is opened, restored or configured: the worker builds one model at a time, and the
+            timeout of a call begins with its turn.
         frames: number of submitted frames.
         shares: of its processor time, among the sessions.
         leaving: whether its machine is about to stop.
@@ -70,7 +70,7 @@ class Worker:
         self.process, self._here, self.leaving = process, here, leaving
         self.sessions: dict[str, Memory] = {}
         self.frame_slots, self.heavy_slots = asyncio.Semaphore(_FRAMES_IN_PIPE), asyncio.Semaphore(1)
-        self.placement_lock = asyncio.Lock()
+        self.building_lock = asyncio.Lock()
         self.frames, self.shares = 0, FairShares()
         self.bytes_at_start = 0  # resident, with the sessions of the worker that it replaced
         self.gone = asyncio.Event()

@@ -26,9 +26,9 @@ from ddakf_api.errors import (
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.workers.compute.tracker_host import TrackerHost
-from ddakf_service.workers.local_pool import LocalPool
 from ddakf_service.workers.messages import wire
 from ddakf_service.workers.pool import Limits, Memory
+from ddakf_service.workers.process_pool import ProcessPool
 
 from ddakf import Tracker
 from tests.lanes import every
@@ -38,12 +38,12 @@ from ..conftest import frame_of, is_running, make_sheet, workers
 LIMITS = Limits(max_points=5_000, max_vertices=1_000, max_faces=2_000, max_body_vertices=1_000, max_image_pixels=100_000)
 
 
-def local(size=2, limits=LIMITS, **options) -> LocalPool:
-    return LocalPool(size, limits, **{"frame_timeout": 20.0, "warm_timeout": 300.0, **options})
+def local(size=2, limits=LIMITS, **options) -> ProcessPool:
+    return ProcessPool(size, limits, **{"frame_timeout": 20.0, "warm_timeout": 300.0, **options})
 
 
 @pytest.fixture(params=every(2, ["local", "ray"]), scope="module")
-def implementation(request) -> Callable[..., LocalPool]:
+def implementation(request) -> Callable[..., ProcessPool]:
     """Makes a pool with processes of this machine, or with actors of a Ray cluster."""
     if request.param == "local":
         return local
@@ -53,7 +53,7 @@ def implementation(request) -> Callable[..., LocalPool]:
 
     ray.init(cluster.address, log_to_driver=False, configure_logging=False)  # for all pools, of which each would end it
 
-    def on_ray(size=2, limits=LIMITS, **options) -> LocalPool:
+    def on_ray(size=2, limits=LIMITS, **options) -> ProcessPool:
         return local(size, limits, source=RayActors(limits, cluster.address), **options)
 
     return on_ray

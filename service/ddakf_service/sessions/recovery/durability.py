@@ -1,4 +1,4 @@
-"""Durability: checkpoints of sessions while they are tracked, and their restore after the loss of a worker."""
+"""Durability: checkpoints of live sessions, and their restore after the loss of a worker."""
 
 from __future__ import annotations
 
@@ -112,8 +112,8 @@ class Durability:
                 self._store.checkpoint(session, checkpoint)
         return True
 
-    async def may_answer(self, session: Session) -> None:
-        """Returns when an answer of a session may leave this server: at once, unless its leases could not be renewed.
+    async def wait_to_answer(self, session: Session) -> None:
+        """Returns when this server may answer for a session: at once, unless its leases could not be renewed.
 
         Raises:
             Irrecoverable: the session has ended, or has gone to another server.

@@ -33,7 +33,7 @@ class Handover:
         depart: removes a session from the catalog and from its worker, see :meth:`..lifecycle.Lifecycle.depart`.
 
     Attributes:
-        beaten: set at each renewal of the leases.
+        renewed: set at each renewal of the leases.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Handover:
         self._leaving: dict[str, asyncio.Task[None]] = {}  # by session id
         self._answering: set[int] = set()  # uids
         self._without_session: dict[int, float] = {}  # by uid, since when
-        self.beaten = asyncio.Event()
+        self.renewed = asyncio.Event()
 
     def follow(self, beat: Beat) -> None:
         """Applies a renewal of the leases: drops lost sessions, answers gateways that ask for one, and releases leases without
@@ -68,11 +68,11 @@ class Handover:
         here = {session.uid for session in self._catalog}
         self._without_session = {uid: self._without_session.get(uid, beat.began) for uid in held.keys() - here}
         for lease in beat.held:
-            is_left = beat.began - self._without_session.get(lease.uid, beat.began) > _LONGEST_OPENING
-            if (lease.wanted_by or is_left) and lease.uid not in self._answering:
+            is_orphaned = beat.began - self._without_session.get(lease.uid, beat.began) > _LONGEST_OPENING
+            if (lease.wanted_by or is_orphaned) and lease.uid not in self._answering:
                 self._answering.add(lease.uid)
                 self._tasks.start(self._answer(lease))
-        self.beaten.set()
+        self.renewed.set()
 
     async def left(self, session_id: str) -> None:
         """Returns when a session that is leaving has left."""

@@ -215,10 +215,10 @@ class SharedOwnership:
 
     async def _next_beat(self, timeout: float) -> None:
         """Returns at the next news of the leases, or after a timeout."""
-        self._handover.beaten.clear()
+        self._handover.renewed.clear()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(timeout):
-                await self._handover.beaten.wait()
+                await self._handover.renewed.wait()
 
 
 def _elsewhere(lease: Lease) -> SessionBusy:
