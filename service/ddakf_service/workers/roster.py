@@ -215,7 +215,6 @@ class Roster:
             await self._move(session_id, worker, successor)
         if worker.gone.is_set():
             return
-        self._retiring.discard(worker)
         if worker.sessions:  # a move failed: the worker continues as a surplus and is due again
             self.accepting.append(worker)
         else:
@@ -224,4 +223,5 @@ class Roster:
             await worker.answered()  # a snapshot may have been asked for during the move
             worker.exit_watcher.cancel()
             await worker.end()
+        self._retiring.discard(worker)
         self._on_change()
