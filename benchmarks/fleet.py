@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from ddakf_service.sessions.recovery.durability import _MAX_RESTORES as RESTORES_AT_A_TIME
 from ddakf_service.store.tables.heartbeat import _BEATS as BEATS_PER_LEASE
-from ddakf_service.workers.fair_shares import _PLANNED as PLANNED_SHARE
+from ddakf_service.workers.fair_shares import PLANNED_SHARE
 
 BUSY = 0.7  # share of a core that a gateway's event loop may be busy, so that answers do not queue
 LEASE = 5.0  # seconds

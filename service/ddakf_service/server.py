@@ -35,8 +35,8 @@ from .transports.rest.cross_origin import origin_checked
 from .transports.rest.routes import create_app
 from .transports.websocket.routes import add_websockets
 from .workers.fork_server import ForkServer, WorkerSource
-from .workers.local_pool import LocalPool
 from .workers.pool import Limits, Progress
+from .workers.process_pool import ProcessPool
 
 log = logging.getLogger(__name__)
 
@@ -88,7 +88,7 @@ class Server:
             settings.frame_limit,
         )
         source = _ray_actors(limits, settings.ray_address) if settings.worker_kind == "ray" else None
-        self._pool = LocalPool(
+        self._pool = ProcessPool(
             settings.workers,
             limits,
             spares=settings.spare_workers,
@@ -102,7 +102,7 @@ class Server:
             fork_server=None if source else fork_server,
             source=source,
         )
-        self._unused = fork_server if source else None
+        self._unused_fork_server = fork_server if source else None
         self._sessions = Sessions(self._pool, settings, self._metrics, self._store)
         recorder = FrameRecorder(self._metrics, self._store.history, self._tracer)
         self._streams = Streams(self._sessions.components, recorder)
@@ -165,8 +165,8 @@ class Server:
             log.warning("anyone who can reach %s may use this service: it needs no keys", self._settings.host)
 
     async def _start_pool(self, progress: Progress) -> None:
-        if self._unused is not None:
-            await self._unused.end()
+        if self._unused_fork_server is not None:
+            await self._unused_fork_server.end()
         await self._pool.start(progress)
         self._warm = True
         self._follow_workers()

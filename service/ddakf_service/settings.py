@@ -27,7 +27,7 @@ def _default_data_dir() -> str:
     return str(Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "ddakf")
 
 
-def _split(origins: object) -> object:
+def _split_origins(origins: object) -> object:
     return [origin.strip() for origin in origins.split(",") if origin.strip()] if isinstance(origins, str) else origins
 
 
@@ -37,14 +37,14 @@ def _origin(text: str) -> str:
     return text
 
 
-def _successor(text: str) -> str:
+def _address(text: str) -> str:
     found = _ADDRESS_FORM.fullmatch(text)
     if text and not (found and 0 < int(found[1]) < 1 << 16):
         raise PydanticCustomError("address", "HOST:PORT, such as 192.0.2.1:7701, or nothing")
     return text
 
 
-def _recording(text: str) -> str:
+def _recording_file(text: str) -> str:
     if text and not (text.lower().endswith(RECORDING_SUFFIXES) and Path(text).is_file()):
         raise PydanticCustomError("recording", f"a file that ends in {' or '.join(RECORDING_SUFFIXES)}, or nothing")
     return text
@@ -65,7 +65,7 @@ class Settings(BaseSettings):
     host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
     grpc_port: int = Field(7701, ge=0, le=65535, description="port of gRPC; 0 takes a free one")
     http_port: int = Field(7702, ge=0, le=65535, description="port of REST, WebSocket and metrics; 0 takes a free one")
-    cors_origins: Annotated[tuple[_Origin, ...], NoDecode, BeforeValidator(_split)] = Field(
+    cors_origins: Annotated[tuple[_Origin, ...], NoDecode, BeforeValidator(_split_origins)] = Field(
         (), description="origins of pages that may use the HTTP port, separated by commas; * for any"
     )
     request_timeout: float = Field(60.0, gt=0, description="seconds for a request to arrive; over HTTP its headers and body")
@@ -130,7 +130,7 @@ class Settings(BaseSettings):
     costly_end_after: int = Field(12, ge=1, description="frames beyond frame_limit after which a session ends")
     warm_timeout: float = Field(900.0, gt=0, description="seconds for a worker to compile and to track its first frame")
     drain_grace: float = Field(5.0, ge=0, description="seconds for clients to leave after the notice of a shutdown")
-    successor: Annotated[str, AfterValidator(_successor)] = Field(
+    successor: Annotated[str, AfterValidator(_address)] = Field(
         "", description="address, host:port, to which clients connect after a shutdown; empty: this server"
     )
 
@@ -154,7 +154,7 @@ class Settings(BaseSettings):
     lease_seconds: float = Field(
         5.0, ge=1, le=600, description="seconds after which other servers may take the sessions of one that has vanished"
     )
-    gateway_address: Annotated[str, AfterValidator(_successor)] = Field(
+    gateway_address: Annotated[str, AfterValidator(_address)] = Field(
         "", description="address, host:port, by which other gateways send clients here; empty: all use one load balancer"
     )
     history_days: float = Field(30.0, gt=0, description="days for which history and ended sessions are kept")
@@ -179,7 +179,7 @@ class Settings(BaseSettings):
         "", description="PEM file with authorities, one of which must have signed the certificate of every client"
     )
 
-    recording: Annotated[str, AfterValidator(_recording)] = Field(
+    recording: Annotated[str, AfterValidator(_recording_file)] = Field(
         "", description="recording (.mcap) or result of `ddakf track --out` (.npz) that the dashboard shows; empty: none"
     )
     trace_sample: float = Field(

@@ -15,8 +15,8 @@ from ddakf_api.arrays import pack_mesh
 from ddakf_api.errors import DeadlineExceeded, InvalidArgument, InvalidFrame, SessionNotFound
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame, connect, recordings
+from ddakf_client.read_ahead import read_ahead
 from ddakf_client.recordings import recording
-from ddakf_client.recordings.read_ahead import read_ahead
 from mcap.reader import make_reader
 
 from ..service.conftest import TIMEOUT, make_sheet, running
@@ -299,7 +299,7 @@ def test_reading_goes_on_while_frames_are_written():
             read.append(number)
             yield number
 
-    for item, behind in read_ahead(source()):
+    for item, behind in read_ahead(source(), 128):
         if item == 0:
             deadline = time.monotonic() + TIMEOUT
             while len(read) < 40 and time.monotonic() < deadline:
@@ -314,7 +314,7 @@ def test_what_ends_the_reading_is_raised_behind_what_was_read():
         yield 1
         raise DeadlineExceeded("too late")
 
-    items = read_ahead(source())
+    items = read_ahead(source(), 128)
     assert next(items)[0] == 1
     with pytest.raises(DeadlineExceeded):
         next(items)

@@ -5,9 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import threading
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
+from typing import TypeVar
 
 import grpc
 import numpy as np
@@ -31,6 +34,8 @@ from ddakf_api.version import require_compatible
 from google.protobuf.descriptor import FieldDescriptor
 
 from ddakf_client.results import Limits, ServerInfo, server_info_from
+
+T = TypeVar("T")
 
 TIMEOUT = 10.0
 """Default timeout in seconds of a call, and of the answer to a frame."""
@@ -113,6 +118,24 @@ def failure(error: grpc.RpcError, target: str, timeout: float) -> ServiceError:
     if type(failed) is Cancelled and "Channel closed!" in failed.message:  # words of gRPC when this side closes
         return Cancelled(CLOSED)
     return failed
+
+
+def opened_in_thread(open_stream: Callable[[], T]) -> T:
+    """Opens a stream in another thread, where no handler of a signal runs.
+
+    gRPC creates the call, and then a thread that completes it. KeyboardInterrupt between the two, in the main thread, would leave
+    a call that nothing completes, for which the end of the channel waits.
+    """
+    opened: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            opened.set_result(open_stream())
+        except BaseException as error:
+            opened.set_exception(error)
+
+    threading.Thread(target=run, name="ddakf-opener", daemon=True).start()
+    return opened.result()
 
 
 @contextmanager

@@ -302,10 +302,10 @@ class Client:
         raise failed
 
     def open_track(self, requests: Iterator[pb.TrackRequest]) -> grpc.Call:
-        return self._open_stub().Track(requests, metadata=self._metadata)
+        return calls.opened_in_thread(lambda: self._open_stub().Track(requests, metadata=self._metadata))
 
     def open_watch(self, request: pb.WatchSessionRequest) -> grpc.Call:
-        return self._open_stub().WatchSession(request, metadata=self._metadata)
+        return calls.opened_in_thread(lambda: self._open_stub().WatchSession(request, metadata=self._metadata))
 
     def _open_stub(self) -> TrackingServiceStub:
         if self._closed:

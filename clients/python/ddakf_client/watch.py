@@ -10,7 +10,10 @@ from ddakf_api import API_VERSION
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.calls import closing_is_an_error, failure, require_every_nth
+from ddakf_client.read_ahead import read_ahead
 from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
+
+_READ_AHEAD = 1  # answers that may wait for the caller: with more it would see them late
 
 
 def watch_request(name: str, every_nth: int) -> pb.WatchSessionRequest:
@@ -26,7 +29,7 @@ def watch_request(name: str, every_nth: int) -> pb.WatchSessionRequest:
 def watch(call: grpc.Call, on_notice: Callable[[Notice], None], target: str) -> Iterator[Result | FrameError]:
     """Yields answers until the session ends, then raises the reason."""
     try:
-        for response in call:
+        for response, _ in read_ahead(call, _READ_AHEAD):
             yield from _answers(response, on_notice)
     except grpc.RpcError as error:
         raise failure(error, target, math.inf) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ..background_tasks import BackgroundTasks
 from ..settings import Settings
 from ..workers.pool import WorkerPool
 from .catalog import SessionCatalog
@@ -27,3 +28,4 @@ class SessionComponents(NamedTuple):
     penalties: Penalties
     tracker_access: TrackerAccess
     ownership: Ownership
+    tasks: BackgroundTasks

@@ -14,6 +14,7 @@ from ddakf_api.errors import ServiceError, SessionExists, Unavailable, WorkerLos
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..auth.principal import Principal, current_principal
+from ..background_tasks import BackgroundTasks
 from ..observability.logs import FailureLog
 from ..store.tables.leases import Leases
 from ..store.tables.session_record import SessionRecord, new_uid
@@ -56,10 +57,11 @@ class Lifecycle:
         catalog: SessionCatalog,
         persistence: Persistence,
         durability: Durability,
+        tasks: BackgroundTasks,
         leases: Leases | None = None,
     ):
         self._pool, self._admission, self._catalog, self._leases = pool, admission, catalog, leases
-        self._persistence, self._durability = persistence, durability
+        self._persistence, self._durability, self._tasks = persistence, durability, tasks
         self._failures = FailureLog(log, "earlier sessions cannot be loaded yet", "earlier sessions are loaded now")
         self._opening: dict[str, str | None] = {}  # id to owner
         self._closing: dict[str, asyncio.Task[None]] = {}  # ended sessions that are still in a worker
@@ -156,19 +158,19 @@ class Lifecycle:
         try:
             yield _Identity(uid, epoch)
         except BaseException:
-            self._durability.background(self._disclaim(uid))
+            self._tasks.start(self._disclaim(uid))
             raise
 
     async def _claim(self, session_id: str, uid: int, principal: Principal, request_id: str) -> int | None:
         """See :meth:`.Leases.claim`. A caller that leaves meanwhile leaves no lease, although the database goes on."""
         has_room = functools.partial(self._admission.require_key_room, principal)
-        claim = self._durability.background(
+        claim = self._tasks.start(
             self._leases.claim(session_id, uid, principal.id or None, request_id, require_room=has_room)
         )
         try:
             return await asyncio.shield(claim)
         except asyncio.CancelledError:
-            self._durability.background(self._disclaim(uid, claim))
+            self._tasks.start(self._disclaim(uid, claim))
             raise
         finally:
             del claim  # the traceback of its error refers to this Python frame: a reference cycle
@@ -237,7 +239,7 @@ class Lifecycle:
     async def load(self) -> None:
         """Reloads the sessions from before the start of the process. Retries in the background until the database works."""
         if not await self._load():
-            self._durability.background(self._load_later())
+            self._tasks.start(self._load_later())
 
     async def _load(self) -> bool:
         try:
@@ -258,7 +260,7 @@ class Lifecycle:
                     self._remember((session.owner, session.request_id), _completed(session.id))
         if sessions:
             log.info("sessions from before the start wait for their clients", extra={"sessions": len(sessions)})
-        self._durability.background(self._persistence.delete_stale_checkpoints(lambda: [*sessions, *self._catalog]))
+        self._tasks.start(self._persistence.delete_stale_checkpoints(lambda: [*sessions, *self._catalog]))
         return True
 
     async def _load_later(self) -> None:
@@ -281,7 +283,7 @@ class Lifecycle:
 
     def _drop(self, session: Session) -> None:
         """Removes an ended session from its worker, in the background."""
-        closing = self._closing[session.id] = self._durability.background(self._forget(session))
+        closing = self._closing[session.id] = self._tasks.start(self._forget(session))
         closing.add_done_callback(lambda _: self._closing.pop(session.id, None))
 
     async def wait_closed(self, session_id: str) -> None:

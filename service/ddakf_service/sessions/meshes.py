@@ -12,6 +12,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
 
 from ..auth.principal import Scope, current_principal
+from ..background_tasks import BackgroundTasks
 from ..settings import Settings
 from ..store.meshes import ID_DIGITS, MeshContent, MeshRecord, MeshStore, mesh_of
 from .page_token import Position, page_size, page_token, position_after
@@ -27,7 +28,7 @@ class Meshes:
     def __init__(self, store: MeshStore, settings: Settings):
         self._store, self._settings = store, settings
         self._storing = asyncio.Lock()  # the quota counts what another call is about to store
-        self._tasks: set[asyncio.Task[MeshRecord]] = set()
+        self._tasks = BackgroundTasks()
 
     async def create(self, request: pb.CreateMeshRequest) -> pb.StoredMesh:
         """Stores a mesh for the caller's key, or returns the one of the same content.
@@ -40,9 +41,7 @@ class Meshes:
         if len(self._tasks) >= _MOST_WAITING:
             raise Unavailable("meshes: other uploads wait for the store, try again later", retry_after=_RETRY_AFTER)
         content, owner = await asyncio.to_thread(self._content, request), current_principal.get().id
-        storing = asyncio.create_task(self._stored(content, owner))
-        self._tasks.add(storing)
-        storing.add_done_callback(self._tasks.discard)
+        storing = self._tasks.start(self._stored(content, owner))
         try:
             return _message(await asyncio.shield(storing))  # of a caller who leaves no content stays without its row
         finally:

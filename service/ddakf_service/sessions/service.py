@@ -13,6 +13,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
 
 from ..auth.principal import current_principal
+from ..background_tasks import BackgroundTasks
 from ..observability.logs import FailureLog
 from ..observability.metrics import Metrics
 from ..settings import Settings
@@ -63,10 +64,13 @@ class Sessions:
             store.registry, store.history, store.checkpoints, store.server_id, store.require_name, tenure, store.leases
         )
         self._catalog = catalog = SessionCatalog(self._persistence.newest_record)
-        self._durability = Durability(pool, self._persistence, metrics, settings.checkpoint_every, self._give_up, tenure)
+        self._tasks = tasks = BackgroundTasks()
+        self._durability = Durability(
+            pool, self._persistence, metrics, settings.checkpoint_every, self._give_up, tenure, tasks
+        )
         self._tracker_access = TrackerAccess(catalog.require_live, self._durability.revive, tenure)
         self.meshes = Meshes(store.meshes, settings)
-        self._lifecycle = Lifecycle(pool, self._admission, catalog, self._persistence, self._durability, store.leases)
+        self._lifecycle = Lifecycle(pool, self._admission, catalog, self._persistence, self._durability, tasks, store.leases)
         self._ownership = self._ownership_with(tenure, metrics)
         self._tenure, self._abandoned_due = tenure, 0.0
         self._failures = FailureLog(log, "abandoned sessions cannot be ended", "abandoned sessions can be ended again")
@@ -80,6 +84,7 @@ class Sessions:
             Penalties(settings, pool, metrics, self._give_up),
             self._tracker_access,
             self._ownership,
+            tasks,
         )
         metrics.sessions.set_function(lambda: len(catalog))
         metrics.streams.set_function(lambda: sum(session.stream is not None for session in catalog))
@@ -89,7 +94,15 @@ class Sessions:
         if self._store.leases is None:
             return SoleOwnership(self._catalog)
         return SharedOwnership(
-            *(self._store, self._catalog, self._persistence, self._durability, self._lifecycle, self._admission, tenure, metrics),
+            self._store,
+            self._catalog,
+            self._persistence,
+            self._durability,
+            self._tasks,
+            self._lifecycle,
+            self._admission,
+            tenure,
+            metrics,
             span=self._settings.lease_seconds,
             departure_timeout=self._settings.departure_timeout,
         )
@@ -156,7 +169,7 @@ class Sessions:
                     f"{session.name} was changed by another call: its etag is {session.revision}, not {change.etag[:80]}",
                     field="etag",
                 )
-            await self._durability.complete(self._change(session, change, paths, labels, limits))
+            await self._tasks.complete(self._change(session, change, paths, labels, limits))
         if session.epoch:  # other servers read its etag in the database
             await self._persistence.written(session.uid)
         return session.message()
@@ -192,8 +205,8 @@ class Sessions:
         requested.session.config_json, requested.session.fabric = change.config_json, change.fabric
         requested.update_mask.paths.extend(sorted(paths & {"config_json", "fabric"}))
         answer = pb.Session.FromString(await self._pool.configure(session.id, requested.SerializeToString()))
-        session.record_update(requested)
         await self._durability.checkpoint_now(session)
+        session.record_update(requested)
         opened.config_json, opened.fabric = answer.config_json, answer.fabric
 
     async def reset(self, request: pb.ResetSessionRequest) -> pb.Session:
@@ -201,13 +214,13 @@ class Sessions:
         session = await self._ownership.obtain(request.name)
         reset_request = request.SerializeToString()
         async with self._tracker_access.exclusive(session):
-            await self._durability.complete(self._reset(session, reset_request))
+            await self._tasks.complete(self._reset(session, reset_request))
         return session.message()
 
     async def _reset(self, session: Session, request: bytes) -> None:
         await self._pool.reset(session.id, request)
-        session.record_reset(request)
         await self._durability.checkpoint_now(session)
+        session.record_reset(request)
 
     async def snapshot(self, name: str) -> pb.SessionSnapshot:
         session = await self._ownership.obtain(name)
@@ -326,8 +339,8 @@ class Sessions:
         if await self._ownership.leave(_stopped, _LAST_CHECKPOINTS_TIMEOUT):
             return
         for session in self._catalog:
-            self._durability.background(self._last_checkpoint(session))
-        await self._durability.settle(_LAST_CHECKPOINTS_TIMEOUT)
+            self._tasks.start(self._last_checkpoint(session))
+        await self._tasks.settle(_LAST_CHECKPOINTS_TIMEOUT)
         for session in self._catalog:
             self._persistence.save(session)
             self._lifecycle.release(session, _stopped())

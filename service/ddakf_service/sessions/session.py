@@ -34,9 +34,11 @@ class ClientStream(Protocol):
 
     Attributes:
         key_id: of the key that opened it; empty: none.
+        busy: a frame waits for its answer.
     """
 
     key_id: str
+    busy: bool
 
     def notify(self, notice: pb.Notice) -> None:
         """Sends a notice to the client."""
@@ -143,7 +145,8 @@ class Session:
     def expiry(self) -> tuple[float, SessionExpired]:
         """Time of expiry without further frames (monotonic clock, seconds), and the error after it."""
         lifetime, idle, departure = self.limits.max_lifetime, self.limits.idle_timeout, self.limits.departure_timeout
-        expiries = [(self.last_active + idle, f"had no frame for {idle:g} s")]
+        is_busy = self.stream is not None and self.stream.busy  # its worker may be slow, or be replaced
+        expiries = [((monotonic() if is_busy else self.last_active) + idle, f"had no frame for {idle:g} s")]
         if self.departure_time is not None:
             departure_expiry = max(self.departure_time, self.last_active) + departure
             expiries = [(departure_expiry, f"was left by its client, which did not return within {departure:g} s")]

@@ -1,5 +1,4 @@
-"""Clock: the time of a server's sessions. Where servers share them it is the time of the database, by which each reads the rows
-of the others."""
+"""Clock: the wall clock of a server's sessions; where servers share sessions, that of their database, so that all agree."""
 
 from __future__ import annotations
 

@@ -44,6 +44,7 @@ class Stream:
 
     Attributes:
         key_id: id of the key that opened the stream; empty: no key.
+        busy: a frame waits for its answer.
         ending: set when no more frames will be tracked; one frame may still be in the worker.
         session_free: set after :meth:`close`, when the session accepts another stream.
     """
@@ -73,6 +74,7 @@ class Stream:
         self._rate_limit, self._overload, self._arrivals = rate_limit, Overload(), ArrivalRate()
         self._displaced = 0  # frames, by newer ones since the last frame was taken
         self._held = 0  # frames that were taken and wait for the frame rate
+        self.busy = False
         self.ending, self.session_free = asyncio.Event(), asyncio.Event()
         self._tracking_task = asyncio.create_task(self._run())
 
@@ -126,8 +128,11 @@ class Stream:
             raise InvalidFrame(field="deadline", expected="seconds from its arrival, or 0", got=f"{frame.deadline:g}")
 
     async def _pause_for_frame_rate(self) -> float:
-        """Waits until the frame rates of session and key allow another frame, or the stream ends. Returns the rate that it waited
-        for; 0: it did not wait."""
+        """Returns when the frame rates of session and key allow another frame, or the stream ends.
+
+        Returns:
+            The rate that it waited for; 0: it did not wait.
+        """
         waited_for = 0.0
         while True:
             pause, rate = self._rate_limit.wait(self._frame_rate, monotonic())
@@ -139,9 +144,11 @@ class Stream:
                 return waited_for
 
     async def _next_frame(self) -> QueuedFrame | None:
-        """The next frame to track or to refuse; None after the last. One to track waits for the session's frame rate. In realtime
-        mode it gives way to newer frames meanwhile: the client gets an answer to the newest one, and so learns of those that were
-        dropped."""
+        """The next frame to track or to refuse; None after the last.
+
+        A frame to track waits for the session's frame rate. In realtime mode a newer one that arrives meanwhile replaces it: the
+        answer to the newest frame tells the client how many were dropped.
+        """
         queued = await self._mailbox.get()
         if queued is None or queued.refusal is not None:
             return queued
@@ -339,7 +346,7 @@ class Stream:
                 answer = await self._pool.submit(
                     session.id, frame.data, self._options, max_points=max_points, start_by=start_by, rate=self._due_rate
                 )
-                await self._durability.may_answer(session)
+                await self._durability.wait_to_answer(session)
             except WorkerLost as error:
                 self._durability.record_worker_loss(session, error)
                 raise
@@ -357,9 +364,11 @@ class Stream:
     def _waiting_notices(self) -> Iterator[None]:
         """Sends a waiting notice at intervals while a frame has no answer: the client's timeout counts silence."""
         self._schedule_waiting_notice(monotonic())
+        self.busy = True
         try:
             yield
         finally:
+            self.busy = False
             self._waiting_timer.cancel()
 
     def _schedule_waiting_notice(self, began: float) -> None:

@@ -20,8 +20,7 @@ from .frame_recorder import FrameRecorder
 from .rate_limit import RateLimit, frame_bucket
 from .stream import Stream
 
-# A client that left its stream may open the next one before the server notices, or before the frame in the worker has been
-# tracked.
+# A client that left its stream may open the next one before the server notices, or before its last frame has been tracked.
 _LEAVE_DETECTION_TIMEOUT = 0.5  # seconds until the server must have noticed that the client left
 _END_TIMEOUT = 5.0  # seconds that an ending stream may take
 
@@ -33,7 +32,7 @@ class Streams:
         self._pool, self._settings, self._admission = components.pool, components.settings, components.admission
         self._catalog, self._persistence = components.catalog, components.persistence
         self._durability, self._tracker_access = components.durability, components.tracker_access
-        self._penalties, self._ownership = components.penalties, components.ownership
+        self._penalties, self._ownership, self._tasks = components.penalties, components.ownership, components.tasks
         self._recorder = recorder
         self._watchers: set[Watcher] = set()  # also those of sessions that have ended, until they have read why
         self._key_buckets: dict[str, TokenBucket] = {}  # of frames, by key
@@ -52,7 +51,7 @@ class Streams:
         self._require_room(replaced=session.stream)
         stream = None
         await self._tracker_access.wait_for_lease(session)  # a stream before may wait for it with a frame
-        while stream is None:  # takeovers at a time come one after the other, so that the last one stays
+        while stream is None:  # of simultaneous takeovers each ends the stream of the one before
             await self._wait_until_free(session, start.takeover)
             session = self._catalog.changeable(start.name)  # another key may own the name by now
             _require_free(session, start.takeover)
@@ -80,7 +79,7 @@ class Streams:
     def leave(self, stream: Stream) -> asyncio.Task[None]:
         """Closes a stream in the background, so that the client learns of the end before the frame in the worker is tracked."""
         stream.discard_error()
-        return self._durability.background(self._close(stream))
+        return self._tasks.start(self._close(stream))
 
     async def _close(self, stream: Stream) -> None:
         """Returns when the worker has no frame of the stream."""

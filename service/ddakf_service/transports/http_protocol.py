@@ -34,8 +34,8 @@ def http_protocol(patience: float, reader_timeout: float) -> type[H11Protocol]:
     """
 
     class Protocol(H11Protocol):
-        _cutting: asyncio.TimerHandle | None = None
-        _waiting: asyncio.TimerHandle | None = None
+        _request_timer: asyncio.TimerHandle | None = None
+        _reader_timer: asyncio.TimerHandle | None = None
 
         def __init__(self, *arguments: Any, **options: Any):
             super().__init__(*arguments, **options)
@@ -43,26 +43,26 @@ def http_protocol(patience: float, reader_timeout: float) -> type[H11Protocol]:
 
         def connection_made(self, transport: asyncio.Transport) -> None:
             super().connection_made(transport)
-            self._await_request()
+            self._time_request()
 
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
-            self._await_request()
+            self._time_request()
             if len(data) >= _LARGE_READ and self._is_reading():
                 self.transport.pause_reading()  # uvloop would go on with megabytes
                 self.loop.call_soon(self._read_on)
 
         def connection_lost(self, exc: Exception | None) -> None:
-            self._stop_cutting()
-            self._stop_waiting()
+            self._stop_request_timer()
+            self._stop_reader_timer()
             super().connection_lost(exc)
 
         def pause_writing(self) -> None:
             super().pause_writing()
-            self._wait_for_reader()
+            self._time_reader()
 
         def resume_writing(self) -> None:
-            self._stop_waiting()
+            self._stop_reader_timer()
             super().resume_writing()
 
         def send_400_response(self, msg: str) -> None:
@@ -80,30 +80,30 @@ def http_protocol(patience: float, reader_timeout: float) -> type[H11Protocol]:
             """Whether this protocol has an open connection whose flow control does not hold it back."""
             return not (self.flow.read_paused or self.transport.is_closing()) and self.transport.get_protocol() is self
 
-        def _await_request(self) -> None:
+        def _time_request(self) -> None:
             upgraded = self.transport.get_protocol() is not self
             if upgraded or self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
-                self._stop_cutting()
-            elif self._cutting is None:
-                self._cutting = self.loop.call_later(patience, self.transport.close)
+                self._stop_request_timer()
+            elif self._request_timer is None:
+                self._request_timer = self.loop.call_later(patience, self.transport.close)
 
-        def _wait_for_reader(self, unread: float = math.inf) -> None:
+        def _time_reader(self, unread: float = math.inf) -> None:
             """Aborts the connection if the client has read nothing since the last look, at which so many bytes were unread."""
             left = _unread_bytes(self.transport)
             if left >= unread:
                 self.transport.abort()  # an orderly end would wait for the client
             else:
-                self._waiting = self.loop.call_later(reader_timeout, self._wait_for_reader, left)
+                self._reader_timer = self.loop.call_later(reader_timeout, self._time_reader, left)
 
-        def _stop_waiting(self) -> None:
-            if self._waiting is not None:
-                self._waiting.cancel()
-                self._waiting = None
+        def _stop_reader_timer(self) -> None:
+            if self._reader_timer is not None:
+                self._reader_timer.cancel()
+                self._reader_timer = None
 
-        def _stop_cutting(self) -> None:
-            if self._cutting is not None:
-                self._cutting.cancel()
-                self._cutting = None
+        def _stop_request_timer(self) -> None:
+            if self._request_timer is not None:
+                self._request_timer.cancel()
+                self._request_timer = None
 
     return Protocol
 

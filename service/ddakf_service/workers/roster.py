@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable
 
 from ddakf_api.errors import Unavailable
 
+from ..background_tasks import BackgroundTasks
 from .fork_server import WorkerSource, WorkerStartFailed
 from .pool import Health, Progress
 from .worker import EXIT_PATIENCE, Worker
@@ -65,7 +66,7 @@ class Roster:
         self._spares: list[Worker] = []
         self._retiring: set[Worker] = set()
         self._isolated: Worker | None = None
-        self._tasks: set[asyncio.Task] = set()
+        self._tasks = BackgroundTasks()
         self._starting = self._restarts = self._recycled = 0
 
     async def start(self, progress: Progress) -> None:
@@ -75,16 +76,14 @@ class Roster:
             if isinstance(result, BaseException):
                 raise result
         self._start_missing()
-        self._background(self._recycle_when_due())
+        self._tasks.start(self._recycle_when_due())
 
     def health(self) -> Health:
         return Health(len(self.accepting), self._size, self._restarts, len(self._spares), self._recycled)
 
     async def stop(self) -> None:
         """Ends all workers and the fork server."""
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._tasks.cancel()
         workers = [*self.accepting, *self._spares, *self._retiring, *([self._isolated] if self._isolated else [])]
         await asyncio.gather(*(worker.end() for worker in workers))
         await self._source.end(EXIT_PATIENCE)
@@ -109,7 +108,7 @@ class Roster:
                 worker = await Worker.start(self._source, self._warm_timeout, lambda *_: None)
             except (WorkerStartFailed, OSError) as error:
                 raise Unavailable(f"no worker for isolated sessions can be started: {error}") from None
-            worker.exit_watcher = self._background(self._watch(worker))
+            worker.exit_watcher = self._tasks.start(self._watch(worker))
         worker.lower_priority()
         log.info("a worker for isolated sessions begins", extra={"worker": worker.process.pid})
         self._isolated = worker
@@ -126,26 +125,20 @@ class Roster:
 
     # Replacement ----------------------------------------------------------------------------------------------------
 
-    def _background(self, work: Coroutine) -> asyncio.Task:
-        task = asyncio.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
-
     async def _add_worker(self, progress: Progress = lambda *_: None) -> None:
         self._add_warm_worker(await Worker.start(self._source, self._warm_timeout, progress))
 
     def _add_warm_worker(self, worker: Worker) -> None:
         """Adds a warm worker to those that accept frames, or else to the spares."""
         (self.accepting if len(self.accepting) < self._size else self._spares).append(worker)
-        worker.exit_watcher = self._background(self._watch(worker))
+        worker.exit_watcher = self._tasks.start(self._watch(worker))
         self._on_change()
 
     def _start_missing(self) -> None:
         """Starts the missing workers."""
         running = len(self.accepting) + len(self._spares) + self._starting
         for _ in range(self._size + self._n_spares - running):
-            self._background(self._replace())
+            self._tasks.start(self._replace())
             self._starting += 1
 
     async def _replace(self) -> None:
@@ -156,8 +149,9 @@ class Roster:
                 await self._add_worker()
                 self._starting -= 1
                 return
-            except (WorkerStartFailed, OSError) as error:
-                log.error("a worker could not be started, next attempt in %.1f s: %s", pause, error)
+            except Exception as error:  # also one that nobody expects: the pool would be short of a worker for good
+                is_known = isinstance(error, (WorkerStartFailed, OSError))
+                log.error("a worker could not be started, next attempt in %.1f s: %s", pause, error, exc_info=not is_known)
                 await asyncio.sleep(pause)
                 pause = min(2 * pause, _LONGEST_PAUSE)
 
@@ -221,12 +215,13 @@ class Roster:
             await self._move(session_id, worker, successor)
         if worker.gone.is_set():
             return
-        self._retiring.discard(worker)
         if worker.sessions:  # a move failed: the worker continues as a surplus and is due again
             self.accepting.append(worker)
         else:
             self._recycled += 1
             successor.bytes_at_start = successor.resident_bytes()
+            await worker.answered()  # a snapshot may have been asked for during the move
             worker.exit_watcher.cancel()
             await worker.end()
+        self._retiring.discard(worker)
         self._on_change()

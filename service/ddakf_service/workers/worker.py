@@ -7,7 +7,7 @@ import contextlib
 import itertools
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from heapq import nlargest
 from pathlib import Path
 from typing import NamedTuple
@@ -48,12 +48,12 @@ class Worker:
         sessions: estimated memory by session id.
         frame_slots: held by a frame while it is in the pipe or on the light lane of the worker.
         heavy_slots: held by a frame while it is in the pipe or on the heavy lane.
-        placement_lock: held while a model is built, by the placement of a session or its configuration, so that no call's time
-            runs while it waits for another.
+        building_lock: held while a session is opened, restored or configured: the worker builds one model at a time, and the
+            timeout of a call begins with its turn.
         frames: number of submitted frames.
         shares: of its processor time, among the sessions.
         leaving: whether its machine is about to stop.
-        gone: set when the process has ended.
+        gone: set when the process has ended, or is about to.
         exit_watcher: task that waits for ``gone``.
     """
 
@@ -70,13 +70,13 @@ class Worker:
         self.process, self._here, self.leaving = process, here, leaving
         self.sessions: dict[str, Memory] = {}
         self.frame_slots, self.heavy_slots = asyncio.Semaphore(_FRAMES_IN_PIPE), asyncio.Semaphore(1)
-        self.placement_lock = asyncio.Lock()
+        self.building_lock = asyncio.Lock()
         self.frames, self.shares = 0, FairShares()
         self.bytes_at_start = 0  # resident, with the sessions of the worker that it replaced
         self.gone = asyncio.Event()
         self._reader, self._writer = reader, writer
         self._numbers = itertools.count(1)
-        self._waiting: dict[int, _Call] = {}
+        self._calls: dict[int, _Call] = {}
         self._listener: asyncio.Task | None = None
         self._lowered: int | None = None  # nice value
 
@@ -152,8 +152,8 @@ class Worker:
             raise worker_lost(session_id)
         number = next(self._numbers)
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-        self._waiting[number] = _Call(kind, session_id, answer, turn_over, record)
-        answer.add_done_callback(lambda _: self._waiting.pop(number, None))
+        self._calls[number] = _Call(kind, session_id, answer, turn_over, record)
+        answer.add_done_callback(lambda _: self._calls.pop(number, None))
         self._writer.writelines((wire.head(kind, number, session_id, sum(map(len, content))), *content))
         return answer
 
@@ -162,18 +162,40 @@ class Worker:
         if not self.gone.is_set():
             self._writer.write(wire.Message(kind, 0, session_id).head())
 
+    async def answered(self) -> None:
+        """Returns when the calls so far are answered."""
+        if answers := [call.answer for call in self._calls.values()]:
+            await asyncio.wait(answers)
+
     async def end(self, patience: float = EXIT_PATIENCE) -> int:
-        """Closes the pipe, which ends the process; kills it after ``patience`` seconds. Returns its exit status."""
+        """Closes the pipe, which ends the process; kills it after ``patience`` seconds. Returns its exit status.
+
+        Calls without an answer raise ``WorkerLost``.
+        """
         if self._listener not in (None, asyncio.current_task()):
             self._listener.cancel()
+        self._fail_calls()
         self._writer.close()
         return await ended(self.process, patience)
+
+    def _fail_calls(self, suspects: Set[str] | None = None) -> None:
+        """Ends all calls, also later ones, with ``WorkerLost``.
+
+        Args:
+            suspects: sessions with a request that is rarer than frames; a call may be the cause if no other session has one.
+                None: there is no cause to look for.
+        """
+        self.gone.set()
+        for call in list(self._calls.values()):
+            if not call.answer.done():
+                suspected = suspects is not None and suspects <= {call.session_id}
+                call.answer.set_exception(worker_lost(call.session_id, suspected=suspected))
 
     async def _listen(self) -> None:
         try:
             while True:
                 message = await wire.read(self._reader)
-                call = self._waiting.get(message.number)
+                call = self._calls.get(message.number)
                 if call is None or call.answer.done():
                     continue  # the caller has left
                 if message.kind is wire.Kind.ASIDE:
@@ -193,12 +215,7 @@ class Worker:
             await self._lose(0.0)
 
     async def _lose(self, patience: float) -> None:
-        self.gone.set()
-        suspects = {call.session_id for call in self._waiting.values() if call.kind in _CHANGES}
-        for call in list(self._waiting.values()):
-            if not call.answer.done():
-                suspected = suspects <= {call.session_id}
-                call.answer.set_exception(worker_lost(call.session_id, suspected=suspected))
+        self._fail_calls({call.session_id for call in self._calls.values() if call.kind in _CHANGES})
         status = await self.end(patience)
         if self._here:  # Ray does not tell the status of an actor
             log.error("a lost worker has ended", extra={"worker": self.process.pid, "status": status})

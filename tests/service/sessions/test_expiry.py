@@ -20,7 +20,7 @@ from ddakf_service.settings import Settings
 from ddakf_service.store.clock import clock
 from ddakf_service.store.store import Store
 
-from ..conftest import TIMEOUT, Talk, eventually, frame_of, request_of
+from ..conftest import TIMEOUT, Talk, eventually, frame_of, held, request_of, workers
 
 pytestmark = pytest.mark.slow
 
@@ -86,6 +86,17 @@ def test_a_client_whose_frames_are_all_refused_is_there_still(api, sheet):
 
     responses = list(api.track(name, bad_frames()))
     assert [response.HasField("frame_error") for response in responses[1:]] == [True] * 9
+    api.delete(name)
+
+
+def test_a_session_whose_frame_waits_for_its_worker_is_in_use(service, api, sheet):
+    name = api.create(sheet, limits=pb.SessionLimits(idle_timeout=0.5)).name
+    with Talk(api, name) as talk:
+        with held(workers(service.pid)):
+            talk.send(frame_of(sheet, 1))
+            time.sleep(3.0)  # looks for expired sessions
+        kinds = [next(talk.answers).WhichOneof("message") for _ in range(2)]
+        assert kinds == ["notice", "result"]
     api.delete(name)
 
 

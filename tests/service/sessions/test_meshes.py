@@ -218,8 +218,8 @@ async def test_an_upload_whose_caller_leaves_has_a_row_if_it_has_a_content(small
     upload = asyncio.create_task(meshes.create(create_mesh(pack_mesh(*make_sheet(60, 0.01)))))
     await asyncio.sleep(pause)
     upload.cancel()
-    await asyncio.wait({upload, *meshes._tasks})
-    await asyncio.gather(*meshes._tasks)
+    await asyncio.wait({upload})
+    await meshes._tasks.settle(TIMEOUT)
     listed = (await meshes.list(pb.ListMeshesRequest())).meshes
     assert len(listed) == len(list(folder.rglob("*.mesh")))
 
@@ -238,7 +238,7 @@ async def test_uploads_into_a_store_that_does_not_answer_are_bounded(small_store
     with pytest.raises(Unavailable, match="other uploads wait for the store, try again later"):
         await meshes.create(create_mesh(pack_mesh(*make_sheet(20))))
     answers.set()
-    await asyncio.gather(*meshes._tasks)
+    await meshes._tasks.settle(TIMEOUT)
     await meshes.create(create_mesh(pack_mesh(*make_sheet(20))))
 
 

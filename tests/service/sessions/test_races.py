@@ -124,7 +124,7 @@ async def test_nothing_is_kept_of_a_session_that_ended_under_its_stream(server, 
     with pytest.raises(SessionNotFound, match="was deleted"):
         await serving
     del serving
-    await server._durability.settle(1.0)
+    await server._tasks.settle(1.0)
     for _ in range(100):  # callbacks of what has ended, of threads too
         gc.collect()
         if session() is None:
@@ -140,7 +140,7 @@ async def test_a_worker_forgets_a_session_whose_deletion_was_cut_off(server, poo
         await asyncio.sleep(0)
         deletion.cancel()
         await asyncio.wait({deletion})
-    await server._durability.settle(1.0)
+    await server._tasks.settle(1.0)
     assert pool.calls == [("open", "some"), ("close", "some")]
 
 
@@ -320,7 +320,7 @@ async def left(call: asyncio.Task, pool: Pool) -> None:
 
 async def test_an_update_whose_client_leaves_is_recorded(server, pool, store):
     session = server._catalog.readable("sessions/some")
-    await server._durability.settle(1.0)
+    await server._tasks.settle(1.0)
     checkpoints, etag = session.checkpoint_number, str(session.revision)
     change = pb.Session(name="sessions/some", fabric="silk", limits=pb.SessionLimits(max_points=7))
     await left(asyncio.create_task(server.update(pb.UpdateSessionRequest(session=change))), pool)
@@ -337,11 +337,28 @@ async def test_a_reset_whose_client_leaves_is_recorded(server, pool, monkeypatch
         await pool.busy.wait()
 
     session, request = server._catalog.readable("sessions/some"), pb.ResetSessionRequest(name="sessions/some")
-    await server._durability.settle(1.0)
+    await server._tasks.settle(1.0)
     checkpoints = session.checkpoint_number
     monkeypatch.setattr(pool, "reset", reset)
     await left(asyncio.create_task(server.reset(request)), pool)
     assert (session.last_reset, session.checkpoint_number) == (request.SerializeToString(), checkpoints + 1)
+
+
+@pytest.mark.parametrize("change", ["reset", "update"])
+async def test_no_reader_learns_of_a_change_that_is_lost_with_its_worker(server, streams, pool, change):
+    watcher = await streams.watch(pb.WatchSessionRequest(name="sessions/some", api_version=API_VERSION, include_frames=True))
+    session = server._catalog.readable("sessions/some")
+    pool.lost = True
+    pool.busy.set()
+    requests = {
+        "reset": lambda: server.reset(pb.ResetSessionRequest(name="sessions/some")),
+        "update": lambda: server.update(pb.UpdateSessionRequest(session=pb.Session(name="sessions/some", fabric="silk"))),
+    }
+    with pytest.raises(WorkerLost):
+        await requests[change]()
+    watcher.close(None)
+    assert [response.message.WhichOneof("message") async for response in watcher.responses()] == ["started"]
+    assert session.last_reset == b""
 
 
 async def test_an_update_that_fails_by_a_defect_counts_the_memory_of_before(server, pool, monkeypatch):
@@ -394,9 +411,8 @@ async def test_a_session_that_waits_for_a_worker_goes_to_another_server(server, 
     server.lose(["some"])
     while ("restore", "some") not in pool.calls:
         await asyncio.sleep(0)
-    handover = Handover(
-        leases, server._catalog, server._persistence, server._durability, server._lifecycle.depart, Tenure(), Metrics()
-    )
+    of_session = server._catalog, server._persistence, server._durability, server._tasks, server._lifecycle.depart
+    handover = Handover(leases, *of_session, Tenure(), Metrics())
     await asyncio.wait_for(handover.hand_over(session, StreamTakenOver("elsewhere")), 30.0)
     assert leases.released == [session.uid]
     assert session.closed

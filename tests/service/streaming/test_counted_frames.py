@@ -88,7 +88,7 @@ async def serving():
     serving = await Serving.begin()
     yield serving
     await serving.streams.leave(serving.stream)
-    await serving.server._durability.settle(1.0)
+    await serving.server._tasks.settle(1.0)
     await asyncio.to_thread(serving.store.close)
 
 
@@ -110,7 +110,7 @@ async def test_a_frame_whose_session_cannot_be_restored_now(serving, monkeypatch
         raise Unavailable("no disk")
 
     session = serving.server._catalog.readable("sessions/some")
-    await serving.server._durability.settle(1.0)
+    await serving.server._tasks.settle(1.0)
     session.has_worker, session.stored_only, session.checkpoint = False, True, None
     monkeypatch.setattr(serving.server._persistence, "newest", unreadable)
     await serving.receive(1)

@@ -35,5 +35,5 @@ async def test_a_notice_tells_a_limit_from_workers_without_time(monkeypatch, lim
     assert (await asyncio.wait_for(notice, 5.0)).message == told
     await serving.streams.leave(serving.stream)
     await delivery
-    await serving.server._durability.settle(1.0)
+    await serving.server._tasks.settle(1.0)
     await asyncio.to_thread(serving.store.close)

@@ -26,9 +26,9 @@ from ddakf_api.errors import (
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.workers.compute.tracker_host import TrackerHost
-from ddakf_service.workers.local_pool import LocalPool
 from ddakf_service.workers.messages import wire
 from ddakf_service.workers.pool import Limits, Memory
+from ddakf_service.workers.process_pool import ProcessPool
 
 from ddakf import Tracker
 from tests.lanes import every
@@ -38,12 +38,12 @@ from ..conftest import frame_of, is_running, make_sheet, workers
 LIMITS = Limits(max_points=5_000, max_vertices=1_000, max_faces=2_000, max_body_vertices=1_000, max_image_pixels=100_000)
 
 
-def local(size=2, limits=LIMITS, **options) -> LocalPool:
-    return LocalPool(size, limits, **{"frame_timeout": 20.0, "warm_timeout": 300.0, **options})
+def local(size=2, limits=LIMITS, **options) -> ProcessPool:
+    return ProcessPool(size, limits, **{"frame_timeout": 20.0, "warm_timeout": 300.0, **options})
 
 
 @pytest.fixture(params=every(2, ["local", "ray"]), scope="module")
-def implementation(request) -> Callable[..., LocalPool]:
+def implementation(request) -> Callable[..., ProcessPool]:
     """Makes a pool with processes of this machine, or with actors of a Ray cluster."""
     if request.param == "local":
         return local
@@ -53,7 +53,7 @@ def implementation(request) -> Callable[..., LocalPool]:
 
     ray.init(cluster.address, log_to_driver=False, configure_logging=False)  # for all pools, of which each would end it
 
-    def on_ray(size=2, limits=LIMITS, **options) -> LocalPool:
+    def on_ray(size=2, limits=LIMITS, **options) -> ProcessPool:
         return local(size, limits, source=RayActors(limits, cluster.address), **options)
 
     return on_ray
@@ -247,6 +247,26 @@ async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet
         expected = pb.Result.FromString(b"".join(wire.unpack_result(content)))
         assert [(r.vertices, r.covariance) for r in pair] == [(expected.vertices, expected.covariance)] * 2
     await until(lambda: pool.health().spares == 1)
+
+
+@pytest.mark.slow
+async def test_a_worker_answers_what_it_was_asked_during_a_move_before_it_ends(sheet, monkeypatch):
+    pool, asked = local(1, spares=1, recycle_frames=1), []
+
+    async def call(worker, kind, *request):
+        if kind is wire.Kind.RESTORE:  # in the successor
+            os.kill(first, signal.SIGSTOP)
+            asked.append(asyncio.ensure_future(pool.snapshot("one")))
+            asyncio.get_running_loop().call_later(1.0, os.kill, first, signal.SIGCONT)
+        return await carry_out(worker, kind, *request)
+
+    async with running(pool):
+        await pool.open("one", creation(sheet))
+        (first,), carry_out = pool.process_ids(), pool._call
+        monkeypatch.setattr(pool, "_call", call)
+        await track(pool, "one", frame_of(sheet, 1))
+        await until(lambda: pool.health().recycled == 1)
+        assert len(await asyncio.wait_for(asked[0], 10.0)) > 0
 
 
 @pytest.mark.slow

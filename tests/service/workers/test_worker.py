@@ -117,6 +117,22 @@ async def test_what_is_no_message_costs_the_worker_and_is_logged(caplog):
     source.far.close()
 
 
+async def test_a_worker_that_ends_leaves_no_call_without_an_answer():
+    source = Source(Process())
+    worker = await Worker.start(source, 10, lambda *_: None)
+    answer = worker.send(wire.Kind.SNAPSHOT, "some")
+    await worker.end()
+    for lost in (answer, asyncio.ensure_future(_sent_to(worker))):
+        with pytest.raises(WorkerLost) as caught:
+            await asyncio.wait_for(lost, 10)
+        assert not may_be_cause(caught.value)
+    source.far.close()
+
+
+async def _sent_to(worker: Worker) -> bytes:
+    return await worker.send(wire.Kind.SNAPSHOT, "some")
+
+
 @pytest.mark.parametrize(
     ("kind", "owner", "suspected"),
     [

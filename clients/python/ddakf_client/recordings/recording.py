@@ -45,8 +45,8 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from ddakf_client.calls import failure
 from ddakf_client.client import Client, Session
+from ddakf_client.read_ahead import read_ahead
 from ddakf_client.recordings import foxglove
-from ddakf_client.recordings.read_ahead import read_ahead
 from ddakf_client.results import Result, frame_error_from, result_from
 
 SESSION, FRAME, RESULT, CLOUD, GARMENT, NUMBERS = "/session", "/frame", "/result", "/cloud", "/garment", "/numbers"
@@ -62,6 +62,7 @@ _SCHEMAS = {
 }
 _NANOSECONDS = 1e9
 _NO_LIMIT = float("inf")
+_READ_AHEAD = 128  # answers that may wait to be written
 _BEHIND = 32  # frames that wait: with more, those for Foxglove are left out
 
 
@@ -173,7 +174,7 @@ def _write_frames(
     """Writes frames with their results until an end is reached."""
     count, missing, applied = 0, 0, 0
     try:
-        for pair, behind in read_ahead(pairs):
+        for pair, behind in read_ahead(pairs, _READ_AHEAD):
             if pair is not None:
                 result = _converted(pair.result)
                 writer.write_changes(pair)

@@ -1,16 +1,17 @@
-"""Durability: checkpoints of sessions while they are tracked, and their restore after the loss of a worker."""
+"""Durability: checkpoints of live sessions, and their restore after the loss of a worker."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable
 from time import monotonic
 from typing import Protocol
 
 from ddakf_api.errors import ResourceExhausted, ServiceError, Unavailable, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from ...background_tasks import BackgroundTasks
 from ...observability.metrics import Metrics
 from ...store.clock import clock
 from ...store.files.checkpoints import Checkpoint
@@ -61,41 +62,14 @@ class Durability:
         every: int,
         give_up: Callable[[Session, ServiceError], None],
         tenure: Tenure,
+        tasks: BackgroundTasks,
     ):
-        self._tenure = tenure
+        self._tenure, self._tasks = tenure, tasks
         self._pool, self._store, self._metrics = pool, store, metrics
         self._every, self._give_up = every, give_up
-        self._tasks: set[asyncio.Task] = set()
         self._restore_slots = asyncio.Semaphore(_MAX_RESTORES)
         self._restores: dict[int, asyncio.Task[ServiceError | None]] = {}  # by the session's uid
         self._checkpoints_taken = 0
-
-    def background(self, work: Coroutine) -> asyncio.Task:
-        """Runs a task in the background; :meth:`settle` waits for it."""
-        task = asyncio.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
-
-    async def complete(self, work: Coroutine[None, None, None]) -> None:
-        """Runs a change of a session to its end, also when the caller leaves: the worker carries out what it was sent. The
-        caller holds the session's lock until then."""
-        task = self.background(work)
-        try:
-            await asyncio.shield(task)
-        except asyncio.CancelledError:
-            await asyncio.wait({task})
-            if not task.cancelled():
-                task.exception()  # marks it as retrieved: asyncio would log it otherwise
-            raise
-        finally:
-            del task  # the traceback of its error refers to this Python frame: a reference cycle
-
-    async def settle(self, timeout: float) -> None:
-        """Returns when no background task is left, or after ``timeout`` seconds."""
-        end = monotonic() + timeout
-        while self._tasks and (remaining := end - monotonic()) > 0:  # a task may start another
-            await asyncio.wait(set(self._tasks), timeout=remaining)
 
     # Checkpoints ----------------------------------------------------------------------------------------------------
 
@@ -123,7 +97,7 @@ class Durability:
         except WorkerLost:
             return None
         self._checkpoints_taken += 1
-        return self.background(self._store_checkpoint(session, checkpoint, data, self._checkpoints_taken))
+        return self._tasks.start(self._store_checkpoint(session, checkpoint, data, self._checkpoints_taken))
 
     async def _store_checkpoint(self, session: Session, checkpoint: Checkpoint, data: Awaitable[bytes], number: int) -> bool:
         try:
@@ -138,8 +112,8 @@ class Durability:
                 self._store.checkpoint(session, checkpoint)
         return True
 
-    async def may_answer(self, session: Session) -> None:
-        """Returns when an answer of a session may leave this server: at once, unless its leases could not be renewed.
+    async def wait_to_answer(self, session: Session) -> None:
+        """Returns when this server may answer for a session: at once, unless its leases could not be renewed.
 
         Raises:
             Irrecoverable: the session has ended, or has gone to another server.
@@ -173,7 +147,7 @@ class Durability:
         """
         restore = self._restores.get(session.uid)
         if restore is None:
-            restore = self._restores[session.uid] = self.background(self._revive(session))
+            restore = self._restores[session.uid] = self._tasks.start(self._revive(session))
             restore.add_done_callback(lambda _: self._restores.pop(session.uid))
         return restore
 

@@ -9,6 +9,7 @@ from time import monotonic
 
 from ddakf_api.errors import ServiceError, StreamTakenOver, Unavailable
 
+from ...background_tasks import BackgroundTasks
 from ...observability.metrics import Metrics
 from ...store.tables.heartbeat import Beat
 from ...store.tables.leases import Lease, Leases
@@ -32,7 +33,7 @@ class Handover:
         depart: removes a session from the catalog and from its worker, see :meth:`..lifecycle.Lifecycle.depart`.
 
     Attributes:
-        beaten: set at each renewal of the leases.
+        renewed: set at each renewal of the leases.
     """
 
     def __init__(
@@ -41,17 +42,18 @@ class Handover:
         catalog: SessionCatalog,
         persistence: Persistence,
         durability: Durability,
+        tasks: BackgroundTasks,
         depart: Callable[[Session, ServiceError], None],
         tenure: Tenure,
         metrics: Metrics,
     ):
         self._leases, self._catalog, self._persistence = leases, catalog, persistence
-        self._durability, self._depart, self._tenure = durability, depart, tenure
+        self._durability, self._tasks, self._depart, self._tenure = durability, tasks, depart, tenure
         self._moves = metrics.session_moves
         self._leaving: dict[str, asyncio.Task[None]] = {}  # by session id
         self._answering: set[int] = set()  # uids
         self._without_session: dict[int, float] = {}  # by uid, since when
-        self.beaten = asyncio.Event()
+        self.renewed = asyncio.Event()
 
     def follow(self, beat: Beat) -> None:
         """Applies a renewal of the leases: drops lost sessions, answers gateways that ask for one, and releases leases without
@@ -66,11 +68,11 @@ class Handover:
         here = {session.uid for session in self._catalog}
         self._without_session = {uid: self._without_session.get(uid, beat.began) for uid in held.keys() - here}
         for lease in beat.held:
-            is_left = beat.began - self._without_session.get(lease.uid, beat.began) > _LONGEST_OPENING
-            if (lease.wanted_by or is_left) and lease.uid not in self._answering:
+            is_orphaned = beat.began - self._without_session.get(lease.uid, beat.began) > _LONGEST_OPENING
+            if (lease.wanted_by or is_orphaned) and lease.uid not in self._answering:
                 self._answering.add(lease.uid)
-                self._durability.background(self._answer(lease))
-        self.beaten.set()
+                self._tasks.start(self._answer(lease))
+        self.renewed.set()
 
     async def left(self, session_id: str) -> None:
         """Returns when a session that is leaving has left."""
@@ -84,7 +86,7 @@ class Handover:
             reason: for the stream.
         """
         if (leaving := self._leaving.get(session.id)) is None:
-            leaving = self._leaving[session.id] = self._durability.background(self._hand_over(session, reason))
+            leaving = self._leaving[session.id] = self._tasks.start(self._hand_over(session, reason))
             leaving.add_done_callback(lambda _: self._leaving.pop(session.id))
         await asyncio.shield(leaving)
 

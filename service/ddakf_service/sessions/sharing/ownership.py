@@ -14,6 +14,7 @@ from ddakf_api.errors import PermissionDenied, ServiceError, SessionBusy, Sessio
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ...auth.principal import current_principal
+from ...background_tasks import BackgroundTasks
 from ...observability.metrics import Metrics
 from ...store.store import Store
 from ...store.tables.heartbeat import Beat
@@ -52,6 +53,7 @@ class SharedOwnership:
         catalog: SessionCatalog,
         persistence: Persistence,
         durability: Durability,
+        tasks: BackgroundTasks,
         lifecycle: Lifecycle,
         admission: Admission,
         tenure: Tenure,
@@ -62,7 +64,7 @@ class SharedOwnership:
     ):
         self._store, self._leases, self._catalog = store, store.leases, catalog
         self._persistence, self._lifecycle, self._admission = persistence, lifecycle, admission
-        self._handover = Handover(self._leases, catalog, persistence, durability, lifecycle.depart, tenure, metrics)
+        self._handover = Handover(self._leases, catalog, persistence, durability, tasks, lifecycle.depart, tenure, metrics)
         self._moves = metrics.session_moves
         self._patience = span + _ANSWER_PATIENCE
         self._collect_from = monotonic() + departure_timeout  # the clients of a stopped cluster come back within this
@@ -213,10 +215,10 @@ class SharedOwnership:
 
     async def _next_beat(self, timeout: float) -> None:
         """Returns at the next news of the leases, or after a timeout."""
-        self._handover.beaten.clear()
+        self._handover.renewed.clear()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(timeout):
-                await self._handover.beaten.wait()
+                await self._handover.renewed.wait()
 
 
 def _elsewhere(lease: Lease) -> SessionBusy:

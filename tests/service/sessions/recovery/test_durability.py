@@ -14,6 +14,7 @@ from ddakf_api import API_VERSION
 from ddakf_api.errors import Draining, SessionNotFound, StreamTakenOver, Unavailable, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame, connect
+from ddakf_service.background_tasks import BackgroundTasks
 from ddakf_service.commands.service_process import ServiceProcess
 from ddakf_service.observability.metrics import Metrics
 from ddakf_service.sessions.recovery.durability import Durability, Irrecoverable
@@ -198,9 +199,13 @@ def test_a_checkpoint_counts_frames_that_were_not_registered_yet():
     assert session.statistics.frames_applied == 10
 
 
+def durability_with(give_up) -> Durability:
+    return Durability(None, None, Metrics(), 30, give_up, Tenure(), BackgroundTasks())
+
+
 def test_a_session_that_takes_worker_after_worker_down_ends():
     given_up = []
-    durability = Durability(None, None, Metrics(), 30, lambda session, reason: given_up.append((session.name, reason)), Tenure())
+    durability = durability_with(lambda session, reason: given_up.append((session.name, reason)))
     session = Session("deadly", pb.Session(), pb.Session(), pb.SessionLimits(idle_timeout=10))
     for _ in range(3):
         durability.record_worker_loss(session, worker_lost("deadly", suspected=True))
@@ -213,7 +218,7 @@ def test_a_session_that_takes_worker_after_worker_down_ends():
 
 
 def test_a_session_whose_workers_others_take_down_goes_on():
-    durability = Durability(None, None, Metrics(), 30, None, Tenure())
+    durability = durability_with(None)
     session = Session("neighbour", pb.Session(), pb.Session(), pb.SessionLimits(idle_timeout=10))
     for _ in range(10):
         durability.record_worker_loss(session, worker_lost("neighbour"))

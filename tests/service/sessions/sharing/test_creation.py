@@ -126,7 +126,7 @@ async def test_a_creation_whose_caller_leaves_during_its_claim_leaves_no_lease(g
     creation.cancel()
     await asyncio.wait({creation})
     told.set()
-    await one.sessions._durability.settle(10.0)
+    await one.sessions._tasks.settle(10.0)
     assert await Leases(two.store.database, "two").find("mine") is None
     assert (await two.create(session_id="mine")).name == "sessions/mine"
 

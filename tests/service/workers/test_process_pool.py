@@ -12,10 +12,10 @@ import pytest
 from ddakf_api.errors import ResourceExhausted, SessionNotFound, Unavailable
 from ddakf_service.workers import worker
 from ddakf_service.workers.compute.tracker_host import TrackerHost
-from ddakf_service.workers.local_pool import LocalPool
 from ddakf_service.workers.messages import wire
 from ddakf_service.workers.placement import Placement
 from ddakf_service.workers.pool import Limits, Memory
+from ddakf_service.workers.process_pool import ProcessPool
 from ddakf_service.workers.worker import WorkerStartFailed
 
 from ddakf.errors import FrameTooCostly
@@ -67,7 +67,7 @@ def staffed(monkeypatch):
     async def call(worker, kind, session_id, request=b""):
         return b""
 
-    def make(size: int, **options) -> tuple[LocalPool, list[worker.Worker]]:
+    def make(size: int, **options) -> tuple[ProcessPool, list[worker.Worker]]:
         pool = local(size, **options)
         monkeypatch.setattr(pool, "_call", call)
         pool._roster.accepting += [Worker() for _ in range(size)]

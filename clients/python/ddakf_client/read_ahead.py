@@ -1,4 +1,8 @@
-"""Reading ahead: a server's answers are read while earlier ones are written, so that none is dropped in between."""
+"""Reading ahead: a thread reads a server's answers while the caller works on earlier ones.
+
+It also keeps the main thread out of gRPC, where KeyboardInterrupt, or the exception of another signal's handler, can leave a lock
+taken, for which gRPC's own threads then wait.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,6 @@ from typing import NamedTuple, TypeVar
 
 Item = TypeVar("Item")
 
-_MOST = 128  # items that wait; then the source waits
 _LOOK_INTERVAL = 0.1  # seconds between looks whether the reader has left
 
 
@@ -17,13 +20,16 @@ class _End(NamedTuple):
     error: BaseException | None
 
 
-def read_ahead(source: Iterable[Item]) -> Iterator[tuple[Item, int]]:
+def read_ahead(source: Iterable[Item], capacity: int) -> Iterator[tuple[Item, int]]:
     """Yields the items of a source, which a thread reads, each with the number of those that wait behind it.
+
+    Args:
+        capacity: items that may wait; then the source waits.
 
     Raises:
         Whatever the source raises, after the items before it.
     """
-    waiting: queue.Queue[Item | _End] = queue.Queue(_MOST)
+    waiting: queue.Queue[Item | _End] = queue.Queue(capacity)
     left = threading.Event()
 
     def put(item: Item | _End) -> None:
@@ -44,7 +50,7 @@ def read_ahead(source: Iterable[Item]) -> Iterator[tuple[Item, int]]:
             error = raised
         put(_End(error))
 
-    threading.Thread(target=read, name="recording-reader", daemon=True).start()
+    threading.Thread(target=read, name="ddakf-reader", daemon=True).start()
     try:
         while not isinstance(item := waiting.get(), _End):
             yield item, waiting.qsize()

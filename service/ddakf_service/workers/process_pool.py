@@ -1,4 +1,4 @@
-"""Pool of worker processes, of this machine or elsewhere: the sessions on them, their calls and moves."""
+"""Process pool: sessions on worker processes of this machine or a cluster, their calls, placement and moves."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 _RETRY_WHEN_FULL = 5.0  # seconds, sent to clients
 
 
-class LocalPool:
+class ProcessPool:
     """A WorkerPool of processes.
 
     Args:
@@ -123,7 +123,7 @@ class LocalPool:
 
     async def configure(self, session_id: str, request: bytes) -> bytes:
         placement = self._placement(session_id)
-        async with placement.lock, placement.worker.placement_lock:  # a worker builds one model at a time
+        async with placement.lock, placement.worker.building_lock:  # a worker builds one model at a time
             return await self._call(placement.worker, wire.Kind.CONFIGURE, session_id, request)
 
     async def reset(self, session_id: str, request: bytes) -> None:
@@ -187,7 +187,7 @@ class LocalPool:
         worker.sessions[session_id] = memory
         placement = self._placements[session_id] = Placement(worker)
         try:
-            async with placement.lock, worker.placement_lock:
+            async with placement.lock, worker.building_lock:
                 return await self._call(worker, kind, session_id, request)
         except BaseException:
             worker.release(session_id)
@@ -244,7 +244,7 @@ class LocalPool:
                     return
                 data = await self._call(old, wire.Kind.SNAPSHOT, session_id)
                 request = pb.RestoreSessionRequest(data=data).SerializeToString()
-                async with new.placement_lock:
+                async with new.building_lock:
                     await self._call(new, wire.Kind.RESTORE, session_id, request)
                 if self._placements.get(session_id) is not placement:  # the old worker was lost meanwhile
                     new.send_without_answer(wire.Kind.CLOSE, session_id)
