@@ -223,7 +223,10 @@ class Client:
         return self._session("RestoreSession", request, keep=False, flow=flow, codec=codec, step=step)
 
     def sessions(self, *, state: str | None = None, labels: Mapping[str, str] | None = None) -> Iterator[SessionInfo]:
-        """Yields the sessions of the server, oldest first, ended ones newest first, filtered by `state` and `labels` if given."""
+        """Yields the sessions of the server, oldest first, ended ones newest first, filtered by `state` and `labels` if given.
+
+        Their ``config`` is None: ``open_session(id).info()`` has it.
+        """
         page_token = ""
         while True:
             page = self.call("ListSessions", calls.list_request(state=state, labels=labels, page_token=page_token))

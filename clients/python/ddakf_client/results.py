@@ -163,7 +163,7 @@ class SessionInfo:
     Attributes:
         name: "sessions/{session_id}".
         state: as in :class:`Result`, or "idle", "expired", "closed".
-        config: the complete configuration in force.
+        config: the complete configuration in force; None in a list of sessions.
         frame_rate: frames per second over the last few seconds.
         last_sequence, last_timestamp: of the last applied frame; 0: none.
         etag: changes with every update; see ``Session.update``.
@@ -181,7 +181,7 @@ class SessionInfo:
     state: str
     labels: dict[str, str]
     create_time: datetime
-    config: dict[str, Any]
+    config: dict[str, Any] | None
     fabric: str
     limits: Limits
     n_vertices: int
@@ -292,7 +292,7 @@ def session_info_from(message: pb.Session) -> SessionInfo:
         state=value_name(pb.SessionState, message.state),
         labels=dict(message.labels),
         create_time=message.create_time.ToDatetime(UTC),
-        config=json.loads(message.config_json or "{}"),
+        config=json.loads(message.config_json) if message.config_json else None,
         fabric=message.fabric,
         limits=_limits_from(message.limits),
         n_vertices=message.garment_vertex_count,

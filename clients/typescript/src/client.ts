@@ -192,7 +192,10 @@ export class Client implements Host {
     return new Session(this, message, false);
   }
 
-  /** Yields the sessions of the server, oldest first, ended ones newest first, filtered by state ("tracking", ...) and labels if given. */
+  /**
+   * Yields the sessions of the server, oldest first, ended ones newest first, filtered by state ("tracking", ...) and labels if
+   * given. They have no `configJson` and no `vertexMap`: `Session.info` has them.
+   */
   async *sessions({
     state,
     labels = {},

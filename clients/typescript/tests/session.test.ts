@@ -391,7 +391,8 @@ describe("calls", () => {
     expect(updated).toMatchObject({ labels: scene, fabric: "silk", limits: { idleTimeout: 60 } });
     const absent = { labels: undefined, fabric: undefined, config: undefined } as object;
     expect(await session.update(absent)).toMatchObject({ labels: scene, fabric: "silk" });
-    expect(await collected(client.sessions({ labels: scene }))).toMatchObject([{ name: session.name }]);
+    const listed = await collected(client.sessions({ labels: scene }));
+    expect(listed).toMatchObject([{ name: session.name, configJson: "" }]);
     const frames = sheetFrames(sheet, 6);
     const [third] = results(await collected(session.track(frames.slice(0, 3), { flow: "lossless" }))).slice(-1);
     const restored = await client.restoreSession(await session.snapshot(), { labels: scene, limits: { maxPoints: 1000 } });

@@ -58,7 +58,7 @@ def _list(client, arguments: argparse.Namespace) -> None:
     labels = dict(_key_value(text) for text in arguments.label)
     sessions = list(client.sessions(state=arguments.state, labels=labels))
     if arguments.json:
-        print_json([_values(session) for session in sessions])
+        print_json([{name: value for name, value in _values(session).items() if name != "config"} for session in sessions])
         return
     if not sessions:
         print("no session matches" if arguments.state or labels else "no live session that the key may read")

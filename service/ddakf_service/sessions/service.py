@@ -42,6 +42,7 @@ _EXPIRY_INTERVAL = 1.0  # seconds between checks for expired sessions
 _ABANDONED_INTERVAL = 10.0  # seconds between looks for sessions that no server has
 _LAST_CHECKPOINTS_TIMEOUT = 10.0  # seconds that the last checkpoints may take
 _CHANGEABLE = ("labels", "limits", "config_json", "fabric")
+_UNLISTED = ("config_json", "vertex_map")  # kilobytes of a session, which is read alone for them
 
 
 class Sessions:
@@ -145,9 +146,12 @@ class Sessions:
 
     async def list(self, request: pb.ListSessionsRequest) -> pb.ListSessionsResponse:
         """One page of the sessions that the caller may read: live ones, oldest first, or ended ones, newest first."""
-        if asks_for_past(request):
-            return await past_page(self._persistence.ended_records, request)
-        return await self._ownership.page(request)
+        past = asks_for_past(request)
+        page = await (past_page(self._persistence.ended_records, request) if past else self._ownership.page(request))
+        for session in page.sessions:
+            for name in _UNLISTED:
+                session.ClearField(name)
+        return page
 
     async def update(self, request: pb.UpdateSessionRequest, accepts: Callable[[str], bool] | None = None) -> pb.Session | str:
         """Changes labels, limits, configuration and fabric: all named ones, or none when one is invalid.

@@ -19,7 +19,7 @@ from ddakf_api.errors import (
     VersionMismatch,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_client import Frame
+from ddakf_client import Frame, connect
 from google.protobuf import json_format
 
 import ddakf
@@ -27,7 +27,7 @@ from ddakf import data
 from ddakf.evaluation.metrics import rmse_mm
 from ddakf.evaluation.sensors import Sensor
 
-from ..conftest import Api, Talk, frame_of, make_sheet, request_of
+from ..conftest import Api, Talk, eventually, frame_of, make_sheet, request_of
 
 
 def test_life_over_grpc(api, sheet):
@@ -101,6 +101,39 @@ def test_listing_by_pages_and_state(api, http, sheet):
     assert http.get("/v1/sessions", params={"states": "happy"}).json()["error"]["field"] == "states"
     for name in names:
         api.delete(name)
+
+
+def test_lists_leave_out_what_takes_kilobytes(service, api, http, sheet):
+    """A dashboard asks every second. Of a session alone it is there, live; ended sessions are listed as live ones."""
+    with connect(service.grpc) as client:
+        labels = {"list": "short"}
+        name = client.create_session(*sheet, config={"associate": {"wide_gate": 0.3}}, clean=True, labels=labels).name
+        whole = api.get(name)
+        assert json.loads(whole.config_json)["associate"]["wide_gate"] == 0.3
+        assert whole.HasField("vertex_map")
+        short = pb.Session()
+        short.CopyFrom(whole)
+        short.ClearField("config_json")
+        short.ClearField("vertex_map")
+
+        def listed(state: str) -> tuple[pb.Session, pb.Session]:
+            """Over gRPC and over REST."""
+            request = pb.ListSessionsRequest(labels=labels, states=[pb.SessionState.Value(state)])
+            over_rest = http.get("/v1/sessions", params={"labels": "list=short", "states": state}).text
+            answers = api.call("ListSessions", request), json_format.Parse(over_rest, pb.ListSessionsResponse())
+            return tuple(session for answer in answers for session in answer.sessions)
+
+        for session in listed("SESSION_STATE_IDLE"):
+            session.expire_time.CopyFrom(short.expire_time)
+            session.checkpoint_time.CopyFrom(short.checkpoint_time)
+            assert session == short
+        assert [info.config for info in client.sessions(labels=labels)] == [None]
+        assert client.open_session(name).info().config["associate"]["wide_gate"] == 0.3
+        api.delete(name)
+        over_grpc, over_rest = eventually(lambda: listed("SESSION_STATE_CLOSED"))
+        assert over_grpc == over_rest
+        assert (over_grpc.garment_vertex_count, over_grpc.config_json) == (len(sheet.vertices), "")
+        assert not over_grpc.HasField("vertex_map")
 
 
 def test_a_taken_or_malformed_id_is_refused(api, session, sheet):

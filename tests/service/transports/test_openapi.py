@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import socket
 
 import httpx
@@ -13,6 +14,8 @@ from ddakf_service.transports.rest.requests import EXAMPLE_ID
 from hypothesis import HealthCheck, given, settings
 from schemathesis.checks import not_a_server_error
 from schemathesis.specs.openapi import checks
+
+import ddakf
 
 from ..conftest import TIMEOUT, frame_of, request_of
 
@@ -171,6 +174,17 @@ def test_an_answer_can_be_changed_and_sent_back(http, session):
     assert {k: v for k, v in changed.json().items() if k not in follow} == {k: v for k, v in answer.items() if k not in follow}
     refused = http.patch(url, json={"session": {**answer, "body_mesh": "meshes/some"}}).json()["error"]
     assert refused["message"] == "body_mesh: expected no mesh, as a session keeps those of its creation, got a mesh"
+
+
+def test_a_listed_session_that_is_sent_back_keeps_its_configuration(http, session):
+    url = f"/v1/{session}"
+    before = http.patch(url, json={"config_json": '{"associate": {"wide_gate": 0.05}}'}).json()
+    sessions = http.get("/v1/sessions", params={"page_size": 1000}).json()["sessions"]
+    (listed,) = (each for each in sessions if each["name"] == session)
+    changed = http.patch(url, json={"session": {**listed, "labels": {"a": "b"}}}).json()
+    assert (changed["labels"], changed["config_json"]) == ({"a": "b"}, before["config_json"])
+    reset = http.patch(url, params={"update_mask": "config_json"}, json={}).json()
+    assert json.loads(reset["config_json"]) == ddakf.Config().to_dict()
 
 
 @pytest.mark.parametrize("method", ["PATCH", "DELETE"])

@@ -104,7 +104,8 @@ def labels_from(texts: list[str]) -> dict[str, str]:
 
 
 def _given(values: dict, session: pb.Session) -> list[str]:
-    """Names of the fields to change that the session of an update has. The others may be those of an answer.
+    """Names of the fields to change that the session of an update has. The others may be those of an answer: in that of a list
+    config_json is empty.
 
     Args:
         session: the same, as a message.
@@ -118,7 +119,8 @@ def _given(values: dict, session: pb.Session) -> list[str]:
     given = earlier.nested(values, pb.UpdateSessionRequest.DESCRIPTOR).get("session") or {}
     fields = reading.fields_of(pb.Session.DESCRIPTOR)
     given = earlier.renamed(given, pb.Session.DESCRIPTOR)
-    return sorted({fields[name].name for name, value in given.items() if value is not None}.intersection(_CHANGEABLE_FIELDS))
+    names = {fields[name].name for name, value in given.items() if value is not None}.intersection(_CHANGEABLE_FIELDS)
+    return sorted(names if session.config_json else names - {"config_json"})
 
 
 def _address(message: pb.Session | pb.ResetSessionRequest, name: str, field: str) -> None:

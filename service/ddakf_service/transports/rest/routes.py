@@ -259,7 +259,8 @@ def _add_collection_routes(app: FastAPI, sessions: Sessions, settings: Settings)
         state: Annotated[list[str], _earlier("states")] = [],  # noqa: B006
         label: Annotated[list[str], _earlier("labels")] = [],  # noqa: B006
     ) -> Response:
-        """Lists live sessions, oldest first; with no other states than EXPIRED and CLOSED the ended ones, newest first."""
+        """Lists live sessions, oldest first; with no other states than EXPIRED and CLOSED the ended ones, newest first. Without
+        config_json and vertex_map, which a session alone has."""
         numbers = enum_numbers([*states, *state], pb.SessionState.DESCRIPTOR, "states")
         request = pb.ListSessionsRequest(page_size=page_size, page_token=page_token, states=numbers)
         request.labels.update(labels_from([*labels, *label]))

@@ -166,7 +166,8 @@ export declare type Session = Message<"ddakf_api.v1.Session"> & {
 
   /**
    * Configuration of the tracker as a JSON object of stages of fields, {"associate": {"wide_gate": 0.3}}; empty: defaults.
-   * Answers contain the complete configuration in force. {"start": {"up": "z"}} where the clients' world has z upward.
+   * Answers contain the complete configuration in force, lists leave it empty. {"start": {"up": "z"}} where the clients' world
+   * has z upward.
    *
    * @generated from field: string config_json = 5;
    */
@@ -261,7 +262,7 @@ export declare type Session = Message<"ddakf_api.v1.Session"> & {
 
   /**
    * (V,) UINT32: vertex i of the tracked garment is vertex vertex_map[i] of the sent mesh.
-   * Present only when the session was created with clean = true. Output only.
+   * Present only when the session was created with clean = true, absent in lists. Output only.
    *
    * @generated from field: ddakf_api.v1.PackedArray vertex_map = 21;
    */
@@ -692,7 +693,8 @@ export declare const ListSessionsRequestSchema: GenMessage<ListSessionsRequest>;
  */
 export declare type ListSessionsResponse = Message<"ddakf_api.v1.ListSessionsResponse"> & {
   /**
-   * In SESSION_VIEW_BASIC. Live ones: oldest first; ended ones: newest first.
+   * In SESSION_VIEW_BASIC without config_json and vertex_map, which GetSession has. Live ones: oldest first; ended ones: newest
+   * first.
    *
    * @generated from field: repeated ddakf_api.v1.Session sessions = 1;
    */
