@@ -225,7 +225,7 @@ class Tracker:
         return other
 
     def another(self, config: Config) -> Tracker:
-        """A tracker of the same garment and body at the start, which shares all that is constant with this one.
+        """A tracker of the same garment and body at the start, which shares with this one what is constant in both.
 
         Raises:
             InvalidConfig: ``config`` is not a ``ddakf.Config``.
@@ -233,7 +233,7 @@ class Tracker:
         if not isinstance(config, Config):
             raise InvalidConfig("config", "a ddakf.Config", type(config).__name__)
         other = copy.copy(self)
-        other.config, other._discretised = config, _constants(self.garment, self.body, config, self._setup)
+        other.config, other._discretised = config, _constants(self.garment, self.body, config, self._discretised)
         other.reset()
         return other
 
@@ -283,10 +283,11 @@ def _meshes(garment: Mesh, body: Mesh | None) -> tuple[bytes, bytes | None]:
     return garment.digest, None if body is None else body.digest
 
 
-def _constants(garment: Mesh, body: Mesh | None, config: Config, known: Setup | None = None) -> Discretised:
+def _constants(garment: Mesh, body: Mesh | None, config: Config, known: Discretised | None = None) -> Discretised:
     """What is constant for a tracker: of another tracker with the same meshes and configuration, or built.
 
-    ``known`` is that of the same body, whose search tree is used again.
+    ``known`` is that of the same meshes with another configuration. Its search tree of the body is used again, and its working
+    mesh if both configurations want the same.
     """
     key = (*_meshes(garment, body), config)
     found = _CONSTANTS.get(key)
@@ -295,11 +296,15 @@ def _constants(garment: Mesh, body: Mesh | None, config: Config, known: Setup | 
     return found
 
 
-def _discretised(garment: Mesh, body: Mesh | None, config: Config, known: Setup | None) -> Discretised:
-    working = working_mesh.build(garment, config.discretisation)
+def _discretised(garment: Mesh, body: Mesh | None, config: Config, known: Discretised | None) -> Discretised:
+    if known is not None and known.setup.config.discretisation == config.discretisation:
+        working = known.working
+    else:
+        working = working_mesh.build(garment, config.discretisation)
     cloth, under = model.build(working.mesh, config), None
     if body is not None:
-        under = contact.build(body, config.predict.carry_reach, config.physics.collision_reach, known and known.body)
+        same = None if known is None else known.setup.body
+        under = contact.build(body, config.predict.carry_reach, config.physics.collision_reach, same)
     return Discretised(working, Setup(cloth, under, config, warnings.reference(garment, cloth, body, config)))
 
 

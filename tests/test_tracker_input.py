@@ -275,11 +275,11 @@ SCANS = [scan(SMALL.vertices, SMALL, count, 0.002, seed=k) for k, count in enume
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_configuration_that_is_accepted_is_survived(stage):
     """Every number at either end of its range."""
-    default = getattr(Config(), stage)
+    default, first = getattr(Config(), stage), Tracker(SMALL, body=WORN)
     for field in dataclasses.fields(default):
         for value in field.metadata.get("range", ()):
             changed = dataclasses.replace(default, **{field.name: int(value) if isinstance(field.default, int) else value})
-            tracker = Tracker(SMALL, body=WORN, config=dataclasses.replace(Config(), **{stage: changed}))
+            tracker = first.another(dataclasses.replace(Config(), **{stage: changed}))
             for k, points in enumerate(SCANS):
                 result = tracker.step(points, timestamp=k / FPS, body_vertices=WORN.vertices)
                 assert_finite(result)

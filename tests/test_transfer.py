@@ -126,6 +126,7 @@ def test_another_tracker_shares_what_is_constant_and_no_track(view, body):
     assert other.another(COARSE)._discretised is coarse._discretised is started(body, COARSE)._discretised
     assert tracker._discretised is first._discretised is Tracker.restore(tracker.snapshot())._discretised
     assert not body or coarse._setup.body.tree is tracker._setup.body.tree
+    assert coarse._working is not tracker._working is tracker.another(Config(start=Start(up="-y")))._working
     other.reset(SAMPLE.garment_vertices[FIRST])
     for points, how, _ in frames(3, view, body):
         assert_same(other.step(points, **how), first.step(points, **how))
