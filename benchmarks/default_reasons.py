@@ -224,6 +224,7 @@ REASONS = {
     "Uncertainty.turn_share": "chosen: shirts have more",
     "Uncertainty.smooth_folds": "chosen: training recordings have 1.2 to 2.2 mm, smooth tubes 0.2 to 0.4",
     "Uncertainty.turn_lag": "chosen: training recordings of straight skirts, templates of other triangles than the cloud's",
+    "Uncertainty.turn_lag_on_body": "chosen: training recordings of skirts on their wearers, from one camera and all around",
     "Uncertainty.turn_spread": "chosen on the same: 0.2 along the cloth, 0.4 across it where it has slid far",
     "Uncertainty.floor_sd": "chosen",
     "Uncertainty.ceiling_sd": "chosen: the bound of section 2.7",

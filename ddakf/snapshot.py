@@ -275,7 +275,7 @@ def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
     if not all(0.0 <= value <= LARGEST_NUMBER for value in (speed2, stored2, hem2, unseen_turn, abs(turning))):
         raise InvalidSnapshot("snapshot.drift", f"numbers from 0 to {LARGEST_NUMBER:g}", repr(values))
     missed = like(model.missed, arrays, "drift_missed") if "drift_missed" in arrays else model.missed  # not in earlier snapshots
-    return Drift(covariance, speed2, stored2, hem2, unseen_turn, turning, missed)
+    return Drift(covariance, speed2, stored2, hem2, unseen_turn, turning, missed=missed)
 
 
 def _resting(tracker, arrays: dict[str, np.ndarray]) -> Resting | None:

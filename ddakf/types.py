@@ -253,7 +253,8 @@ class Drift(NamedTuple):
     stored2: float  # m^2, mean variance of the stored blocks; without a body the error of an unseen garment grows as it does
     hem2: float = 0.0  # m^2, mean squared distance of hems from where the cloud ends, when hems were last seen
     unseen_turn: float = 0.0  # rad by which the garment may have turned about its axis without being seen to
-    turning: float = 0.0  # rad/s, running mean of the estimate's turns about that axis
+    turning: float = 0.0  # rad/s, running mean of the estimate's turns about that axis; on a body of their size
+    behind: float = 0.0  # rad by which a garment on a body may be behind them
     missed: np.ndarray = np.zeros((3, 3))  # m^2/s^2, running mean of d d' / dt^2, d the prediction's error with the body's part
 
     @classmethod

@@ -242,6 +242,7 @@ class Uncertainty(Checked):
     turn_share: float = bounded(0.08, 1e-6, 1)  # share of a turn's motion along the normals, from which on it is seen
     smooth_folds: float = bounded(0.001, 1e-6, 1)  # m, height of folds from which on they show a turn
     turn_lag: float = bounded(0.15, 1e-3, 10)  # s by which a skirt that is seen all around may be behind its wearer's turn
+    turn_lag_on_body: float = bounded(0.05, 0, 10)  # s, the same of a skirt on a body, on which the waistband stays
     turn_spread: float = bounded(0.25, 0, 10)  # share of such a turn by which vertices are off in every direction as well
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2

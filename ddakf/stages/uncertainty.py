@@ -44,9 +44,9 @@ def posterior(problem: Problem, estimate: Estimate) -> Posterior:
     state = predict.learn_acceleration(problem, _stored_state(problem, estimate), estimate.learnable)
     covariance, drift = marginals(problem, estimate, state)
     tangential2 = colour.lower_covariance(problem, estimate, covariance)
-    turned2 = 0.0
-    if drift.unseen_turn > 0.0:
-        turned2 = _add_turn(problem, state.position, drift.unseen_turn, covariance)
+    turned2, turn = 0.0, max(drift.unseen_turn, drift.behind)
+    if turn > 0.0:
+        turned2 = _add_turn(problem, state.position, turn, covariance)
         covariance = cap(covariance, problem.config.uncertainty)
     if problem.lacks_place(estimate.observed):
         blind = covariance + problem.config.sidedness.blind_error**2 * np.eye(3)
@@ -109,39 +109,48 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     kernels.vertex_covariances(drift.covariance, share, slip2, 2.0 * patches.means.bend, model.patch, measured, covariance)
     found = error_size.evidence(problem, estimate, state.position, patches)
     covariance = error_size.resized(covariance, normal, error_size.sizes(problem, estimate, found))
-    angle, rate = _unseen_turn(problem, estimate, Surface(state.position, normal), found.slip)
-    return cap(covariance, limits), drift._replace(hem2=found.hem, unseen_turn=angle, turning=rate)
+    drift = _turned(problem, estimate, Surface(state.position, normal), found.slip, drift._replace(hem2=found.hem))
+    return cap(covariance, limits), drift
 
 
-def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: float) -> tuple[float, float]:
-    """Radians by which the garment may be turned, unnoticed, and radians per second of the turns that are noticed.
+def _turned(problem: Problem, estimate: Estimate, surface: Surface, slip: float, drift: Drift) -> Drift:
+    """The drift with how far the garment may be turned, unnoticed.
 
     A smooth surface of revolution, such as a plain skirt, may turn with its wearer, and noise may turn the estimate: the cloud is
     the same. Folds show that it turns, but not how far: they may stay where they are while cloth passes through them. The faster
-    a turn and the less of the garment is seen, the farther the estimate may be behind it. Legs and sleeves show a turn, and so
-    do colours, and a body, on which the waistband stays. A start to which several headings were alike leaves an angle as well.
+    a turn and the less of the garment is seen, the farther the estimate may be behind it. Without a body it stays behind. On a
+    body the waistband holds, so that the rest is behind by less, and no longer than errors take to fade. Legs and sleeves show a
+    turn, and so do colours. A start to which several headings were alike leaves an angle as well.
 
     Args:
         problem: the frame.
         estimate: finished.
         surface: the posterior.
         slip: see ``SizeEvidence``.
+        drift: after this frame, its turns those of the last one.
     """
-    model, limits, dt, drift = problem.model, problem.config.uncertainty, problem.dt, problem.last.drift
-    angle, rate = drift.unseen_turn, drift.turning
-    if estimate.clearance is not None or problem.coloured or has_limbs(model.mesh):
-        return angle, 0.0
+    model, limits, dt = problem.model, problem.config.uncertainty, problem.dt
+    angle, rate, on_body = drift.unseen_turn, drift.turning, estimate.clearance is not None
+    if problem.coloured or has_limbs(model.mesh):
+        return drift._replace(turning=0.0, behind=0.0)
     turn, seen = least_seen_turn(*surface, some_faces(model.faces), model.boundary), float(estimate.observed.mean())
     if seen > 0.0:
-        now = _turned_by(turn.moved, surface.position - problem.motion_start) / max(dt, SHORTEST)
-        rate += -math.expm1(-dt / limits.turn_lag) * (now - rate)
-        lag = limits.turn_lag / max(seen, LEAST_SEEN) * (1.0 - turn.share)
-        angle = max(angle, lag * (abs(rate) - STEADY))
+        now, memory = _turned_by(turn.moved, surface.position - problem.motion_start) / max(dt, SHORTEST), limits.turn_lag
+        if on_body:
+            now = abs(now)
+            memory = limits.return_time if now < rate else memory
+        rate += -math.expm1(-dt / memory) * (now - rate)
+    lag = (limits.turn_lag_on_body if on_body else limits.turn_lag) / max(seen, LEAST_SEEN) * (1.0 - turn.share)
+    behind = min(max(lag * (abs(rate) - STEADY), 0.0), MOST_TURNED)
+    if on_body:
+        return drift._replace(turning=rate, behind=behind)
+    if seen > 0.0:
+        angle = max(angle, behind)
     if slip + error_size.BALL > 1.0 / limits.turn_share:
         folds = fold_height(*surface, (model.start, model.neighbour), model.edge_length)
         unseen = max(0.0, 1.0 - folds / limits.smooth_folds) * max(0.0, 1.0 - turn.share / limits.turn_share)
         angle += np.radians(limits.turn_rate) * unseen * min(dt, problem.config.predict.longest_step)
-    return float(min(angle, MOST_TURNED)), float(rate)
+    return drift._replace(unseen_turn=min(float(angle), MOST_TURNED), turning=rate, behind=0.0)
 
 
 def _turned_by(moved: np.ndarray, displacement: np.ndarray) -> float:
