@@ -22,6 +22,11 @@ export function milliseconds(seconds: number): string {
   return Number.isFinite(seconds) ? `${(1e3 * seconds).toFixed(seconds > 0 && seconds < 0.01 ? 1 : 0)} ms` : "–";
 }
 
+/** "1 frame", "2 frames". */
+export function counted(count: number, thing: string): string {
+  return count === 1 ? `1 ${thing}` : `${count} ${thing}s`;
+}
+
 /** Metres as millimetres. */
 export function millimetres(metres: number): string {
   return Number.isFinite(metres) ? `${(1e3 * metres).toFixed(1)} mm` : "–";

@@ -51,6 +51,7 @@ describe("a server without keys", () => {
     await page.goto(`${setting.service.http}/#/sessions/nosuch`);
     await page.locator(".stage-notice", { hasText: "There is no session nosuch" }).waitFor();
     expect(await page.locator(".session .pill").getAttribute("data-state")).toBe("unknown");
+    expect(await page.locator(".chip.live:visible, .actions a:visible").count()).toBe(0); // nothing to follow or to compare
     expect(await page.locator(".chart:visible", { hasText: "No values yet" }).count()).toBe(4);
     await page.getByRole("link", { name: "Server" }).click();
     await page.locator(".chart", { hasText: "Memory" }).getByText("No values yet").waitFor(); // of one value
@@ -223,6 +224,11 @@ describe("a server without keys", () => {
     })();
     await seen.finally(() => (state.seen = true));
     await tracking;
+    await other.goto(`${setting.service.http}/#/`);
+    await other
+      .locator("tr", { hasText: session.name.split("/")[1]! })
+      .getByText(/\d+ frames? refused/)
+      .waitFor();
     await other.close();
     await session.delete();
   });

@@ -3,7 +3,7 @@ import { recency, type Row } from "../api/fleet.js";
 import { reasonOf } from "../api/connection.js";
 import { Sparkline } from "../charts/sparkline.js";
 import { button, h, icon, set, text } from "../dom.js";
-import { duration, fixed, labelled, milliseconds, percent, type StateName } from "../format.js";
+import { counted, duration, fixed, labelled, milliseconds, percent, type StateName } from "../format.js";
 import { pastSessions } from "./past.js";
 import { statePill, stateWord, type App, type View } from "./view.js";
 
@@ -211,7 +211,8 @@ class RowView {
   }
 
   set(row: Row, own: boolean): void {
-    const words = [own ? "played by this page" : "", labelled(row.labels)].filter(Boolean).join(" · ");
+    const refused = row.rejected > 0 ? `${counted(row.rejected, "frame")} refused` : "";
+    const words = [own ? "played by this page" : "", refused, labelled(row.labels)].filter(Boolean).join(" · ");
     text(this.labels, words);
     set(this.labels, { title: words });
     set(this.pill, { "data-state": row.state });

@@ -11,8 +11,8 @@ import {
 } from "ddakf-client";
 import { reasonOf } from "../api/connection.js";
 import type { Row } from "../api/fleet.js";
-import { h } from "../dom.js";
-import { sentence, stateName } from "../format.js";
+import { h, set } from "../dom.js";
+import { counted, sentence, stateName } from "../format.js";
 import type { Cloud } from "../session/cloud.js";
 import { endOf } from "../session/diagnosis.js";
 import { Memory } from "../session/memory.js";
@@ -35,6 +35,7 @@ class SessionView {
   readonly element: HTMLElement;
   private readonly bench: Workbench;
   private readonly recording: RecordButton;
+  private readonly compare: HTMLElement;
   private readonly panel: PlayerPanel | undefined;
   private watching: Watching | undefined;
   private heard = performance.now(); // the watch, last
@@ -49,11 +50,11 @@ class SessionView {
   ) {
     const player = app.player?.id === id ? app.player : undefined;
     this.panel = player && new PlayerPanel(player, app.stopPlaying);
-    const compare = h("a.button", { href: `#/compare/${id}`, title: "Beside another session" }, "Compare");
+    this.compare = h("a.button", { href: `#/compare/${id}`, title: "Beside another session" }, "Compare");
     this.recording = new RecordButton(id, (words, severity) => {
       this.bench.say(words, severity, severity === "note" ? NOTICE_SECONDS : 0);
     });
-    const actions = [this.recording.element, compare];
+    const actions = [this.recording.element, this.compare];
     this.bench = new Workbench({
       title: id,
       memory: new Memory(),
@@ -119,8 +120,9 @@ class SessionView {
     const garment = meshOf(session.garment);
     if (!garment) return;
     this.bench.begin(garment, meshOf(session.body));
-    if (Number(session.statistics?.framesApplied ?? 0) === 0 || stateName(session.state) === "idle")
-      this.bench.stage.say("Waiting for frames");
+    const applied = Number(session.statistics?.framesApplied ?? 0);
+    if (applied === 0 || stateName(session.state) === "idle")
+      this.bench.stage.say(awaited(applied > 0 ? 0 : Number(session.statistics?.framesRejected ?? 0)));
     const player = this.app.player?.id === this.id ? this.app.player : undefined;
     this.watching = new Watching(this.app.client, this.id, {
       onStart: () => {
@@ -168,6 +170,8 @@ class SessionView {
     if (error instanceof SessionNotFound) void this.sayEnded();
     else this.bench.say(reasonOf(error), "bad", 0);
     this.bench.diagnosis.say("The session is not live.");
+    this.bench.timeline.end();
+    set(this.compare, { hidden: true });
     this.recording.end();
     this.bench.charts.showAll();
   }
@@ -181,6 +185,12 @@ class SessionView {
     this.bench.say(words, "note", 0);
     if (this.bench.memory.moments.length === 0) this.bench.stage.say(isStored ? "No garment is kept of an ended session" : "");
   }
+}
+
+/** Words for a session without a garment to show yet, of so many frames that were all refused. */
+function awaited(refused: number): string {
+  if (refused === 0) return "Waiting for frames";
+  return `Waiting for frames: ${counted(refused, "frame")} refused so far, none tracked. The server's log has the reason`;
 }
 
 export function meshOf(mesh: messages.Mesh | undefined): MeshArrays | undefined {

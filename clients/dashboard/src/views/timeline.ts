@@ -65,6 +65,11 @@ export class Timeline {
     this.observer.observe(track);
   }
 
+  /** No more moments come, so that none is live. */
+  end(): void {
+    set(this.live, { hidden: true });
+  }
+
   close(): void {
     this.paused = true;
     this.observer.disconnect();
