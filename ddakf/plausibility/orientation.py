@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ddakf.mesh import Mesh
+from ddakf.plausibility import units
 from ddakf.types import Estimate, Problem, Sign
 
 SAMPLE = 128  # number of planes that are looked at
@@ -14,6 +15,9 @@ OVERTURNED, OVERTURNED_WIDE = 0.49, 0.45  # least height of the middle of its su
 WHOLE = 1.2  # m: a lower body may be a torso, for which OVERTURNED says nothing
 HOLLOW = -0.1  # mean cosine between normals and the directions from the middle, below which a shape is hollow; a person has 0.25
 TURNED = 0.4  # rad, expected error of the heading from which on it is a warning
+FOUND = 0.7  # reliability of a garment, above which its axes are right
+OTHER_HEIGHT, SAME_HEIGHT = 1.3, 1.15  # ratio of two heights, from which on they differ, and up to which they are the same
+TINY = 1e-6  # m
 FITS = 0.35  # reliability of the last frame, above which a hollow shape is right
 
 
@@ -46,9 +50,25 @@ def upside_down(problem: Problem, estimate: Estimate) -> Sign | None:
 
 
 def wrong_up(problem: Problem, estimate: Estimate) -> Sign | None:
-    """The sign of a body that at the start does not stand along the vertical, which gravity and searches go by."""
-    fallen = problem.reference.fallen_body
-    return Sign("config.start.up", fallen) if fallen else None
+    """The sign of a body that at the start does not stand along the vertical, which gravity and searches go by, or of a garment.
+
+    A garment that is not found may have its height along another axis, as templates of programs whose z points upward have.
+    """
+    if problem.reference.fallen_body:
+        return Sign("config.start.up", problem.reference.fallen_body)
+    given, points = problem.resting is not None and problem.resting.given, problem.frame.points
+    if given or problem.health.reliability > FOUND or len(points) < units.ENOUGH:
+        return None
+    to_y_up = problem.config.start.to_y_up
+    cloud = units.extents(points @ to_y_up.T)[1]
+    garment = np.abs(to_y_up) @ units.extents(problem.model.mesh.vertices)
+    over = np.abs(np.log(np.maximum(garment, TINY) / max(cloud, TINY)))
+    other = 0 if over[0] < over[2] else 2
+    if over[1] < np.log(OTHER_HEIGHT) or over[other] > np.log(SAME_HEIGHT):
+        return None
+    axis = "xyz"[np.abs(to_y_up[other]).argmax()]
+    heights = f"the cloud is {cloud:.2g} m high, the garment {garment[1]:.2g} m, and {garment[other]:.2g} m along its {axis}"
+    return Sign("garment", f"{heights}: does that axis of it point upward, or does the wearer lie?")
 
 
 def fallen(body: Mesh, to_y_up: np.ndarray) -> str:

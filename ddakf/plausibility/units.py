@@ -131,9 +131,14 @@ def clock_jump(problem: Problem, estimate: Estimate) -> Sign | None:
 
 def extent(points: np.ndarray) -> float:
     """Metres: size of (N, 3) points along their longest axis, whatever stray points there are."""
+    return float(extents(points).max())
+
+
+def extents(points: np.ndarray) -> np.ndarray:
+    """(3,) metres: size of (N, 3) points along each axis, whatever stray points there are."""
     chosen = np.sort(points[spread_rows(len(points), SAMPLE)], axis=0)
     out = round(0.5 * (1.0 - CENTRAL) * (len(chosen) - 1))
-    return float((chosen[-1 - out] - chosen[out]).max()) / CENTRAL
+    return (chosen[-1 - out] - chosen[out]) / CENTRAL
 
 
 def _surrounds(points: np.ndarray, position: np.ndarray, margin: float) -> bool:

@@ -45,7 +45,7 @@ CHECKS: Mapping[WarningCode, Check] = {
     "clock_jump": Check(units.clock_jump, 1),
     "upside_down": Check(orientation.upside_down, 1),
     "heading_uncertain": Check(orientation.heading_uncertain, 1),
-    "wrong_up": Check(orientation.wrong_up, 1),
+    "wrong_up": Check(orientation.wrong_up, 5),
     "split_seams": Check(placement.split_seams, 1),
     "mirrored": Check(orientation.mirrored, 5, spaced=True),
     "points_behind_sensor": Check(placement.points_behind_sensor, 2, spaced=True),

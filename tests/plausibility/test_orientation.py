@@ -82,12 +82,43 @@ TOLD = {"y": "", "-y": "head"} | dict.fromkeys(("x", "-x", "z", "-z"), "high")
 @pytest.mark.parametrize(("up", "told"), TOLD.items())
 def test_a_body_that_does_not_stand_along_the_vertical_is_told(up, told):
     config = dataclasses.replace(Config(), start=Start(up=up))
-    result = Tracker(SHIRT, body=WEARER, config=config).step(SHIRT.vertices, timestamp=0.0, body_vertices=WEARER.vertices)
+    tracker = Tracker(SHIRT, body=WEARER, config=config)
+    for k in range(5):
+        result = tracker.step(SHIRT.vertices, timestamp=k / 30, body_vertices=WEARER.vertices)
     found = {warning.code: warning for warning in result.warnings}
     assert ("wrong_up" in found) == bool(told)
     if told:
         assert found["wrong_up"].field == "config.start.up"
         assert told in found["wrong_up"].message
+
+
+Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # rows are the axes of a mesh whose z pointed upward
+
+
+@pytest.mark.parametrize("up", ["y", "-y", "z"])
+def test_a_template_whose_height_is_along_another_axis_is_told(up):
+    world = Start(up=up).to_y_up.T  # columns are the axes to the right, upward and to the front
+    config = dataclasses.replace(Config(), start=Start(up=up))
+    tall = SAMPLE.garment_vertices[0]
+    tracker, points = Tracker(Mesh(tall @ Z_UP.T @ world.T, SAMPLE.garment_faces), config=config), scan(tall, SHIRT, 5000)
+    for k in range(12):
+        result = tracker.step((points + [0.5, 0.0, 0.3]) @ world.T, timestamp=k / 30)
+    warning = {each.code: each for each in result.warnings}["wrong_up"]
+    assert warning.field == "garment"
+    axis = "xyz"[np.abs(world[:, 2]).argmax()]
+    assert f"m along its {axis}: does that axis of it point upward" in warning.message
+
+
+@pytest.mark.parametrize("lies", [False, True])
+def test_a_template_of_the_right_axes_is_not_told(lies):
+    """Also where its wearer lies, so that it is as high as the template is deep, if the start is given."""
+    template, cloud = SAMPLE.garment_vertices[0], scan(SAMPLE.garment_vertices[0], SHIRT, 5000)
+    turned = Z_UP.T if lies else np.eye(3)
+    tracker = Tracker(Mesh(template, SAMPLE.garment_faces))
+    if lies:
+        tracker.reset(template @ turned.T)
+    codes = {warning.code for k in range(12) for warning in tracker.step(cloud @ turned.T, timestamp=k / 30).warnings}
+    assert "wrong_up" not in codes
 
 
 def test_people_stand_upright_with_their_arms_down_and_out():
