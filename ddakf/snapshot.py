@@ -9,6 +9,7 @@ import math
 import struct
 import zipfile
 import zlib
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -86,6 +87,7 @@ MOVED = {  # part and field of the configuration before 19, and since
     ("associate", "turned"): ("associate", "normal_distance"),
     ("associate", "sighting"): ("associate", "visibility_motion"),
 }
+COARSEST = 1000.0  # edges of a template over the working ones: none is coarser
 LARGEST = 3.0  # of the logarithm of a stretch
 ROUNDING = 1e-3  # of covariances and rotations that are right
 SEEN = {"mean": -math.inf, "weight": 0.0, "registered2": 1e-12, "noise2": 0.0}  # of the appearance, at least
@@ -148,7 +150,10 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
     try:
         body = Mesh(arrays["body_V"], arrays["body_F"]) if "body_V" in arrays else None
         config = Config.from_dict(numbers["config"])
-        tracker = kind(Mesh(arrays["garment_V"], arrays["garment_F"]), body=body, config=config)
+        garment = Mesh(arrays["garment_V"], arrays["garment_F"])
+        tracker = kind(garment, body=body, config=config)
+        if len(tracker._track.state.position) != len(arrays["state_position"]):
+            tracker = kind(garment, body=body, config=_with_coarse_templates(config))
         first = tracker._track
         state = {name: like(getattr(first.state, name), arrays, f"state_{name}") for name in State._fields}
         _require_covariances("state_R", state["R"])
@@ -177,6 +182,11 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise InvalidSnapshot("snapshot", "the state of a tracker", str(error)) from None
     return tracker
+
+
+def _with_coarse_templates(config: Config) -> Config:
+    """The configuration by which coarse templates are tracked themselves, as most versions before 29 did."""
+    return replace(config, discretisation=replace(config.discretisation, working_coarsest=COARSEST))
 
 
 def _body_arrays(track: BodyTrack) -> dict[str, np.ndarray]:

@@ -23,6 +23,7 @@ class Discretisation(Checked):
     working_vertices_least: int = bounded(2500, 3, 100_000)  # least vertices; a small garment has shorter edges
     working_vertices_most: int = bounded(4000, 3, 100_000)  # most vertices; a large garment has longer edges
     working_finest: float = bounded(0.95, 0, 100)  # edges over the working ones from which an even template is tracked itself
+    working_coarsest: float = bounded(2.6, 1, 1000)  # mean edge over the working ones, beyond which long edges are split to it
     working_unevenness: float = bounded(0.65, 0, 100)  # standard deviation of log vertex areas up to which a template is even
     correlation_length: float = bounded(0.2, 1e-3, 10)  # m, distance at rest over which patches move alike
 

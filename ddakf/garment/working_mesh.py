@@ -87,7 +87,7 @@ class WorkingMesh(NamedTuple):
 
 
 def build(template: Mesh, config: Discretisation) -> WorkingMesh:
-    """The working mesh of a template, which is its own where it is even, of one layer, in large pieces, and not too fine.
+    """The working mesh of a template: its own where that is even, of one layer, in large pieces, and neither too fine nor coarse.
 
     Args:
         template: the garment at rest.
@@ -98,9 +98,12 @@ def build(template: Mesh, config: Discretisation) -> WorkingMesh:
     kept = _of_cloth(template)
     cloth = template if kept.all() else _part(template, kept)
     edge, even, doubt = working_edge(cloth, config), None, ""
+    longest = config.working_coarsest * max(edge, config.working_edge)
     if not (cloth.edge_length > config.working_finest * edge and unevenness(cloth) < config.working_unevenness):
         even = remeshing.remesh(cloth, edge)
         doubt = "" if even is not None else _kept_as_it_is(cloth, edge)
+    elif cloth.edge_length > longest:
+        even = _split(cloth, longest)
     doubt = doubt or _not_as_fine_as_asked(cloth, even, config)
     if even is None:
         if cloth is template:
@@ -168,7 +171,7 @@ def _not_as_fine_as_asked(cloth: Mesh, even: remeshing.Remeshed | None, config: 
     asked, got = config.working_edge, (cloth if even is None else even.mesh).edge_length
     if asked >= Discretisation().working_edge or got <= COARSER * asked:
         return ""
-    why = "those of the template, as an even template is not refined"
+    why = "those of an even template, of which only long ones are split"
     if even is not None:
         why = f"of {even.mesh.n_vertices} vertices; working_vertices_most is {config.working_vertices_most}"
     return f"discretisation.working_edge: expected edges of {1e3 * asked:.3g} mm, got {1e3 * got:.3g} mm: {why}"
@@ -194,6 +197,14 @@ def _part(mesh: Mesh, kept: np.ndarray) -> Mesh:
     """The mesh of some vertices alone, (V,) bool, and of the faces whose corners are all of them."""
     number = np.cumsum(kept) - 1
     return Mesh(mesh.vertices[kept], number[mesh.faces[kept[mesh.faces].all(axis=1)]])
+
+
+def _split(mesh: Mesh, longest: float) -> remeshing.Remeshed | None:
+    """The mesh with edges of at most ``longest`` metres, so that its large triangles may bend; None for needles."""
+    if (found := remeshing.subdivided(mesh, longest)) is None:
+        return None
+    fine, place = found
+    return remeshing.Remeshed(fine, place.corner, place.share, np.arange(mesh.n_vertices))
 
 
 def _itself(mesh: Mesh) -> remeshing.Remeshed:

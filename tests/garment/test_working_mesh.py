@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ddakf import Config, Mesh, Tracker
+from ddakf import Config, Mesh, Tracker, snapshot
 from ddakf.evaluation.sensors import Sensor
 from ddakf.first_frame import tube
 from ddakf.garment import remeshing, working_mesh
@@ -103,6 +103,39 @@ def test_the_error_does_not_depend_on_the_triangles():
     split, *_ = follow(UNEVEN, with_centres)
     assert max(subdivided, split) < 1.1 * own + 3e-4
     assert len(result.vertices) == FINE[0].n_vertices
+
+
+LOW_POLY = remeshing.remesh(SHIRT, 0.1)
+UNSPLIT = Config.from_dict({"discretisation": {"working_coarsest": 1000.0}})
+
+
+def low_poly_vertices(k):
+    return working_mesh.interpolated(SAMPLE.garment_vertices[k].astype(np.float64), LOW_POLY.corner, LOW_POLY.share)
+
+
+def test_long_edges_of_a_coarse_template_are_split():
+    template = LOW_POLY.mesh
+    working = working_mesh.build(template, NUMBERS).mesh
+    longest = NUMBERS.working_coarsest * max(working_mesh.working_edge(template, NUMBERS), NUMBERS.working_edge)
+    assert template.edge_length > 1.4 * longest
+    assert np.linalg.norm(np.subtract(*working.vertices[working.edges.T]), axis=1).max() <= longest
+    np.testing.assert_array_equal(working.vertices[: template.n_vertices], template.vertices)
+    assert remeshing.areas(working).sum() == pytest.approx(remeshing.areas(template).sum())
+
+
+def test_split_edges_make_a_coarse_template_bend():
+    template = LOW_POLY.mesh
+    (split, result, _), (own, *_) = (follow(template, low_poly_vertices, config=config) for config in (None, UNSPLIT))
+    assert split < 0.9 * own
+    assert len(result.vertices) == template.n_vertices
+
+
+def test_a_snapshot_from_before_edges_were_split_goes_on_with_its_own_mesh():
+    _, _, tracker = follow(LOW_POLY.mesh, low_poly_vertices, count=2, config=UNSPLIT)
+    numbers, arrays = snapshot.parts(tracker)
+    del numbers["config"]["discretisation"]["working_coarsest"]
+    other, points = Tracker.restore(snapshot.pack(numbers, arrays)), cloud(1)
+    assert_same(other.step(points, timestamp=9.0), tracker.step(points, timestamp=9.0))
 
 
 def test_results_of_the_template_are_those_of_its_own_mesh_where_it_tracks_itself():
@@ -235,7 +268,8 @@ def test_a_sieve_that_is_tracked_as_it_is_is_told():
 def test_edges_that_are_longer_than_asked_for_are_told():
     finer = replace(NUMBERS, working_edge=0.008)
     asked = "discretisation.working_edge: expected edges of 8 mm, got"
-    assert working_mesh.build(SHIRT, finer).doubt == f"{asked} 16.7 mm: those of the template, as an even template is not refined"
+    own = "those of an even template, of which only long ones are split"
+    assert working_mesh.build(SHIRT, finer).doubt == f"{asked} 16.7 mm: {own}"
     assert working_mesh.build(FINE[0], finer).doubt.startswith(asked)
     assert working_mesh.build(FINE[0], finer).doubt.endswith("; working_vertices_most is 4000")
     assert not working_mesh.build(FINE[0], replace(finer, working_vertices_most=20_000)).doubt
