@@ -11,7 +11,7 @@ import pytest
 from ddakf.evaluation import machine
 
 RESULTS = Path(__file__).parents[1] / "benchmarks/results"
-BY_ITSELF = ("bench", "camera_places", "chaos", "cluster", "cost", "kill", "latency", "load", "mutants",
+BY_ITSELF = ("bench", "camera_places", "chaos", "cluster", "coarse_templates", "cost", "kill", "latency", "load", "mutants",
              "other_triangles", "parts", "soak", "triangulations", "tuning")  # fmt: skip
 WHERE_TOLD = {"accuracy": "--summary", "colour": "--out", "conditions": "--json", "error_size": "--json", "faust": "--json",
               "omission": "--json", "headings": "--json", "predictability": "--json", "recovery": "--json",
