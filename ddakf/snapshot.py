@@ -185,7 +185,7 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
 
 
 def _with_coarse_templates(config: Config) -> Config:
-    """The configuration by which coarse templates are tracked themselves, as most versions before 29 did."""
+    """The configuration by which coarse templates are tracked themselves, as before their long edges were split."""
     return replace(config, discretisation=replace(config.discretisation, working_coarsest=COARSEST))
 
 
