@@ -10,8 +10,9 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+import numpy as np
 from committed import parsed
-from conditions import FRAMES, add_recordings, recordings
+from conditions import FRAMES, add_recordings, geometric, recordings
 
 from ddakf.evaluation import machine
 
@@ -55,3 +56,15 @@ def main(
     arguments.out.write_text(f'{json.dumps(head)[:-1]}, "rows": [\n{lines}\n]}}\n')
     print("\n".join(table(rows)))
     return 0
+
+
+def scores(rows: list[dict]) -> str:
+    """The cell of some rows of the tracker: geometric mean of the RMSE, and means of coverage and reliability."""
+    inside, reliable = (np.mean([row[key] for row in rows]) for key in ("coverage", "reliability"))
+    return f"{geometric(rows, 'rmse_mm'):.1f}, {inside:.0%}, {reliable:.2f}"
+
+
+def markdown(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> list[str]:
+    """Lines of a table, whose heads and rows begin with the first column."""
+    first, *others = ("|".join(("", *(f" {cell} " if cell else " " for cell in cells), "")) for cells in (heads, *rows))
+    return [first, "|---" * (first.count("|") - 1) + "|", *others]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import clips
 import numpy as np
-from conditions import FIRST, INSIDE, geometric
+from conditions import FIRST, INSIDE
 from inputs import resampled
 from other_triangles import VIEWS
 
@@ -65,17 +65,12 @@ def _errors(original: Sequence, coarse: Sequence, view: str, frames: int, config
 
 def table(rows: list[dict]) -> list[str]:
     """Lines in Markdown: geometric means of the RMSE, and means of coverage and reliability."""
-    columns = list(itertools.product(VIEWS, COARSEST))
-    lines = [f"| vertices | {' | '.join(f'{VIEWS[view]}: {title}' for view, title in columns)} |"]
-    lines.append("|---" * (len(columns) + 1) + "|")
+    columns, lines = list(itertools.product(VIEWS, COARSEST)), []
     for count in COUNTS:
-        cells = [str(count)]
-        for view, title in columns:
-            mine = [row for row in rows if (row["view"], row["template"], row["vertices"]) == (view, title, count)]
-            inside, reliable = (np.mean([row[key] for row in mine]) for key in ("coverage", "reliability"))
-            cells.append(f"{geometric(mine, 'rmse_mm'):.1f}, {inside:.0%}, {reliable:.2f}")
-        lines.append(f"| {' | '.join(cells)} |")
-    return lines
+        of_count = [row for row in rows if row["vertices"] == count]
+        chosen = ([row for row in of_count if (row["view"], row["template"]) == column] for column in columns)
+        lines.append([str(count), *map(clips.scores, chosen)])
+    return clips.markdown(["vertices", *(f"{VIEWS[view]}: {title}" for view, title in columns)], lines)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -103,30 +103,22 @@ def table(rows: list[dict]) -> list[str]:
 
 def of_garments(rows: list[dict]) -> list[str]:
     """Lines of a table of the tracker: geometric means of the RMSE, and means of coverage and reliability."""
-    heads = [f"{VIEWS[view]}: {template}" for view in VIEWS for template in TEMPLATES]
-    lines = [f"| | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
+    columns, lines = list(itertools.product(VIEWS, TEMPLATES)), []
     for garment in (*sorted({row["garment"] for row in rows}), None):
-        cells = ["all" if garment is None else garment]
-        for view, template in itertools.product(VIEWS, TEMPLATES):
-            mine = [row for row in rows if (row["view"], row["template"]) == (view, template)]
-            mine = [row for row in mine if garment in (None, row["garment"])]
-            inside, reliable = (np.mean([row[key] for row in mine]) for key in ("coverage", "reliability"))
-            cells.append(f"{geometric(mine, 'rmse_mm'):.1f}, {inside:.0%}, {reliable:.2f}")
-        lines.append(f"| {' | '.join(cells)} |")
-    return lines
+        of_garment = [row for row in rows if garment in (None, row["garment"])]
+        chosen = ([row for row in of_garment if (row["view"], row["template"]) == column] for column in columns)
+        lines.append([garment or "all", *map(clips.scores, chosen)])
+    return clips.markdown(["", *(f"{VIEWS[view]}: {template}" for view, template in columns)], lines)
 
 
 def of_methods(rows: list[dict]) -> list[str]:
     """Lines of a table of all methods: geometric means of the RMSE."""
-    columns = list(itertools.product(VIEWS, (OWN, DIAGONALS)))
-    lines = [f"| | {' | '.join(f'{VIEWS[view]}: {template}' for view, template in columns)} |"]
-    lines.append("|---" * (len(columns) + 1) + "|")
+    columns, lines = list(itertools.product(VIEWS, (OWN, DIAGONALS))), []
     for method, title in METHODS.items():
         of_method = [row for row in rows if row["method"] == method]
         chosen = ([row for row in of_method if (row["view"], row["template"]) == column] for column in columns)
-        cells = [f"{geometric(mine, 'rmse_mm'):.1f}" for mine in chosen]
-        lines.append(f"| {title} | {' | '.join(cells)} |")
-    return lines
+        lines.append([title, *(f"{geometric(mine, 'rmse_mm'):.1f}" for mine in chosen)])
+    return clips.markdown(["", *(f"{VIEWS[view]}: {title}" for view, title in columns)], lines)
 
 
 def main(argv: list[str] | None = None) -> int:
