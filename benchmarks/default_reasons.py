@@ -51,7 +51,7 @@ REASONS = {
     "Discretisation.working_vertices_least": "chosen: below it the error of small garments' sleeves grows",
     "Discretisation.working_vertices_most": "tuned: 5,000 cost a whole body 16 % of time for 1 to 4 % of error",
     "Discretisation.working_finest": "tuned: templates at 0.74 to 0.94 gain 6 to 15 % of error, 30 % of time",
-    "Discretisation.working_coarsest": "chosen: above all recordings (1.55 to 2.06); beyond, splitting gains 10 to 55 % of error",
+    "Discretisation.working_coarsest": "chosen: above all recordings; templates of few vertices gain 6 to 42 % of error",
     "Discretisation.working_unevenness": "chosen: between captured templates (0.19 to 0.47) and split faces (0.83)",
     "Discretisation.correlation_length": "chosen: near parts move alike",
     "Omission.sparsest": "chosen: a plane needs a few points, and a point serves several vertices",
